@@ -341,6 +341,7 @@ class Bench:
     def diversity(self, case: Any, method: str, seeds: int) -> float | None:
         """How far the pictures of different seeds lie apart; above 0.5 is free synthesis."""
         import exemplars
+
         from torchtex.metrics import diversity
 
         paths = [self.pictures / method / f"{case.name}_{seed}.png" for seed in range(seeds)]

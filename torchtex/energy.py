@@ -9,7 +9,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from torchtex.features import Feature, Linear, Pixels, Windowed
+from torchtex.features import Feature, Pixels, Windowed, is_linear
 from torchtex.neighborhoods import Grid, falloff
 from torchtex.quadratic import Quadratic, total
 
@@ -148,7 +148,7 @@ class TextureEnergy:
     def quadratic_bound(self, x: Float[Tensor, "c h w"]) -> Quadratic | None:
         """The tangent quadratic at x; None when psi is not linear."""
         feature = self.windows.feature
-        if not isinstance(feature, Linear):
+        if not is_linear(feature):
             return None
         squared = self.distances(x)
         sites = self.site_weights(squared)

@@ -44,8 +44,8 @@ def nn(
         patch: side of the windows in pixels.
         exact: search all dimensions. Otherwise nearest patches are sought in the principal axes
             that hold 99.9% of the exemplar's variance, plus the norm of the rest, and the
-            distance to the patch found is then exact: too high by at most .0001 on real photos
-            and blends of them, by .01 (of 1) on white noise.
+            distance to the patch found is then exact: too high by at most .0004 on six photos
+            against copies, blends and blurs of them, by .01 (of 1) on shuffled pixels.
 
     Source: the texture energy of Kwatra et al. 2005, for r = 2.
 
@@ -74,9 +74,9 @@ def tail(
     Args:
         patch: side of the windows in pixels.
         quantile: 0.99 for the worst hundredth.
-        exact: search for all patches. Otherwise for every fifth, a knight's move apart, which
-            keeps all rows and columns alike; the distances themselves are exact. The quantile
-            then strays by about 1% of its value, 4% at the most, to either side.
+        exact: search for all patches. Otherwise for every third of a texture with more than
+            20000, on diagonals that meet all rows and columns alike; the distances themselves
+            are exact. TAILBIAS
 
     Example:
         >>> exemplar = torch.rand(3, 12, 12)
@@ -87,11 +87,10 @@ def tail(
         raise ValueError(f"quantile={quantile} must lie in 0..1, such as 0.99")
     texture, exemplar = _pair(texture, exemplar, patch)
     queries, keys, unit = _patches(texture, exemplar, patch)
-    if not exact:
-        h, w = (n - patch + 1 for n in texture.shape[1:])
-        row = torch.arange(h, device=texture.device)[:, None]
-        column = torch.arange(w, device=texture.device)
-        queries = queries[((column + 2 * row) % 5 == 0).flatten()]
+    if not exact and len(queries) > 20000:
+        site = torch.arange(len(queries), device=texture.device)
+        width = texture.shape[2] - patch + 1
+        queries = queries[(site // width + site % width) % 3 == 0]
     labels = two_sided_minima(queries, keys, chunk=_chunk(queries))[1]
     distance = (queries - keys[labels]).square().sum(1).sort().values
     return float(distance[round(quantile * (len(distance) - 1))] / unit)
@@ -116,7 +115,8 @@ def miss(
     Args:
         patch: side of the windows in pixels.
         exact: search all dimensions. Otherwise the distance in the axes of `nn` is reported, a
-            lower bound: too low by at most .003 on photos, .03 (of 1) on white noise.
+            lower bound: too low by .001 on average and at most .0033 on the same photos, by .03
+            (of 1) on shuffled pixels.
 
     Source: the completeness term of Simakov et al. 2008.
 
@@ -236,7 +236,7 @@ def copy(
 
     Args:
         patch: side of the windows in pixels.
-        exact: as for `nn`; differs by less than .001.
+        exact: as for `nn`; the fast search gives at most .001 less.
 
     Source: "verbatim copying" of Efros and Leung 1999, made a number.
 
@@ -291,9 +291,8 @@ def seam(texture: Float[Tensor, "c h w"], *, segment: int | None = None) -> floa
             16 in `battery`.
 
     Example:
-        >>> ramp = torch.arange(8.0).expand(3, 8, 8) / 8
-        >>> seam(torch.cat([ramp, ramp.flip(2)], 2)), seam(ramp)
-        (1.0, 7.0)
+        >>> round(seam(torch.arange(8.0).expand(3, 8, 8) / 8), 3)
+        7.0
     """
     texture = _image("texture", texture, 3)
     length = min(texture.shape[1:])

@@ -40,9 +40,7 @@ class Quadratic:
         return dot(x, self.apply(x) - 2 * self.b) + self.constant
 
 
-def diagonal(
-    weight: Float[Tensor, "#c h w"], target: Float[Tensor, "c h w"]
-) -> Quadratic:
+def diagonal(weight: Float[Tensor, "#c h w"], target: Float[Tensor, "c h w"]) -> Quadratic:
     """sum of weight (x - target)^2 as a `Quadratic`.
 
     Example:
@@ -61,6 +59,7 @@ def total(terms: list[tuple[float, Quadratic]]) -> Quadratic:
         >>> total([(2.0, q), (1.0, q)])(torch.zeros(1, 1, 1)).item()
         3.0
     """
+
     def apply(x: Tensor) -> Tensor:
         return sum((c * q.apply(x) for c, q in terms), torch.zeros_like(x))
 

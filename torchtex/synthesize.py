@@ -1,29 +1,45 @@
 """Coarse to fine: the whole synthesis, and its result."""
 
+import json
+import os
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Protocol
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchtex.controls import Guide, Scaled, SoftConstraint
-from torchtex.em import HalfStep, em
-from torchtex.energy import Energy, Objective
-from torchtex.estep import Auto, ClosedForm, EStep
+from torchtex import image as images
+from torchtex.controls import Guide, Scaled
+from torchtex.em import Fit, HalfStep, em
+from torchtex.energy import Energy
+from torchtex.estep import Auto, EStep
 from torchtex.features import Feature, Pixels
-from torchtex.image import resize
-from torchtex.model import LabelSpace, Search, TextureModel, fast_search, label_space, strips, texture_model
-from torchtex.neighborhoods import Grid, falloff
+from torchtex.image import check_image, resize
+from torchtex.labels import LabelField
+from torchtex.model import (
+    Search,
+    TextureModel,
+    fast_search,
+    label_space,
+    strips,
+    texture_model,
+)
+from torchtex.neighborhoods import Grid
 
 
 @dataclass(frozen=True)
 class Level:
-    """One entry of a schedule: image scale, window size, and EM steps.
+    """One entry of a schedule.
 
-    `stride` is a quarter of the window unless given.
+    Args:
+        scale: of the images, in (0, 1].
+        size: width of the windows in pixels of that scale.
+        steps: most EM iterations.
+        stride: pixels between sites; a quarter of `size` unless given.
     """
 
     scale: float
@@ -31,106 +47,529 @@ class Level:
     steps: int
     stride: int | None = None
 
+    def __post_init__(self) -> None:
+        if not 0 < self.scale <= 1:
+            raise ValueError(f"scale={self.scale} of a level must lie in (0, 1]")
+        if self.size < 2:
+            raise ValueError(f"size={self.size} of a level's windows must be at least 2")
+        if self.steps < 1:
+            raise ValueError(f"steps={self.steps} of a level must be at least 1")
+
+    def extent(self, whole: int) -> int:
+        """Pixels of this level along an axis of `whole` pixels."""
+        return max(1, round(whole * self.scale))
+
+    def grid(self, height: int, width: int, periodic: bool) -> Grid:
+        """Sites of this level on a texture of the given full size."""
+        stride = self.stride or max(1, self.size // 4)
+        return Grid(self.extent(height), self.extent(width), self.size, stride, periodic)
+
 
 def default_schedule(steps: int | None = None) -> tuple[Level, ...]:
-    """1/4 with 8; 1/2 with 16, 8; full with 32, 16, 8 (Kwatra et al. 2005, section 3.2)."""
+    """1/4 with 8; 1/2 with 16, 8; full with 32, 16, 8; `steps` replaces the iterations of each.
+
+    Source: Kwatra et al. 2005, section 3.2.
+
+    Example:
+        >>> [level.size for level in default_schedule()]
+        [8, 16, 8, 32, 16, 8]
+    """
     plan = ((0.25, 8, 8), (0.5, 16, 4), (0.5, 8, 4), (1.0, 32, 2), (1.0, 16, 2), (1.0, 8, 3))
     return tuple(Level(scale, size, steps or own) for scale, size, own in plan)
 
 
+@runtime_checkable
 class Start(Protocol):
     """First pixels of the coarsest level."""
 
     def __call__(
-        self, exemplars: Sequence[Tensor], masks: Sequence[Tensor | None],
-        height: int, width: int, generator: torch.Generator,
-    ) -> Float[Tensor, "c h w"]: ...  # fmt: skip
+        self,
+        exemplars: Sequence[Tensor],
+        masks: Sequence[Tensor | None],
+        grid: Grid,
+        generator: torch.Generator,
+    ) -> Float[Tensor, "c h w"]: ...
 
 
 @dataclass(frozen=True)
 class Blocks:
-    """Random blocks of the coarse exemplar side by side, without averaging."""
+    """Random blocks of the coarse exemplar side by side, not averaged.
+
+    Args:
+        fraction: side of a block, of the shortest exemplar side.
+    """
 
     fraction: float = 0.5
 
+    def __post_init__(self) -> None:
+        if not 0 < self.fraction <= 1:
+            raise ValueError(f"fraction={self.fraction} of blocks must lie in (0, 1]")
+
     def __call__(
-        self, exemplars: Sequence[Tensor], masks: Sequence[Tensor | None],
-        height: int, width: int, generator: torch.Generator,
-    ) -> Float[Tensor, "c h w"]:  # fmt: skip
-        shortest = min(min(z.shape[1:]) for z in exemplars)
-        size = max(4, min(round(shortest * self.fraction), shortest))
-        return _blocks(exemplars, masks, height, width, size, generator)
-
-
-def _blocks(exemplars, masks, height, width, size, generator):
-    space = label_space([(z.shape[1], z.shape[2]) for z in exemplars], size, masks)
-    table = strips(exemplars, space, size)
-    ny, nx = -(-height // size), -(-width // size)
-    labels = torch.randint(len(space), (ny * nx,), generator=generator)
-    c = exemplars[0].shape[0]
-    blocks = table.patches(labels).view(ny, nx, size, size, c).permute(4, 0, 2, 1, 3)
-    return blocks.reshape(c, ny * size, nx * size)[:, :height, :width].contiguous()
-
-
-def carry(old: TextureModel, labels, new_grid: Grid, space: LabelSpace, factor: tuple[float, float]):
-    """Labels of one grid as labels of a finer one."""
-    oy = old.grid.rows; ox = old.grid.cols
-    def nearest(new, olds, f, s_new, s_old):
-        centre = (new + s_new / 2) / f - s_old / 2
-        pick = (centre[:, None] - olds[None].double()).abs().argmin(1)
-        return pick, centre - olds[pick]
-    py, dy = nearest(new_grid.rows, oy, factor[0], new_grid.size, old.grid.size)
-    px, dx = nearest(new_grid.cols, ox, factor[1], new_grid.size, old.grid.size)
-    pos = old.space.positions[labels].view(len(oy), len(ox), 3)[py][:, px].double()
-    row = pos[..., 1] + dy[:, None] + old.grid.size / 2
-    col = pos[..., 2] + dx[None] + old.grid.size / 2
-    which = pos[..., 0].long()
-    limits = torch.tensor([[t.shape[0] - new_grid.size, t.shape[1] - new_grid.size] for t in space.tables])
-    r = (row * factor[0] - new_grid.size / 2).round().long()
-    c = (col * factor[1] - new_grid.size / 2).round().long()
-    r = torch.minimum(r.clamp(min=0), limits[which][..., 0])
-    c = torch.minimum(c.clamp(min=0), limits[which][..., 1])
-    return space.at(torch.stack([which, r, c], -1).view(-1, 3))
-
-
-def synthesize(exemplar, size, *, seed=0, feature=None, r=0.8, completeness=50.0, complete_scale=0.5, schedule=None, start=None,
-               search=None, estep=None, carrying=True, periodic=False, log=None):
-    exemplars = [exemplar]; masks=[None]
-    g = torch.Generator().manual_seed(seed)
-    H, W = size
-    x = None; old = None
-    estep = estep or Auto()
-    schedule = schedule or default_schedule()
-    for i, lev in enumerate(schedule):
-        t0=time.time()
-        h, w = round(H * lev.scale), round(W * lev.scale)
-        zs = [resize(z, (round(z.shape[1]*lev.scale), round(z.shape[2]*lev.scale))) if lev.scale != 1 else z for z in exemplars]
-        if min(min(z.shape[1:]) for z in zs) < lev.size: continue
-        grid = Grid(h, w, lev.size, lev.stride or max(1, lev.size // 4), periodic)
-        model = texture_model(zs, grid, feature=feature, search=search, r=r,
-            completeness=completeness if lev.scale <= complete_scale else 0, generator=g)
-        t1=time.time()
-        labels = None
-        if x is None:
-            x = (start or Blocks())(zs, masks, h, w, g)
-        elif x.shape[1:] != (h, w):
-            if carrying:
-                f = (h / x.shape[1], w / x.shape[2])
-                s2 = min(2 * old.grid.size, min(min(z.shape[1:]) for z in zs))
-                g2 = Grid(h, w, s2, s2 // 4, periodic)
-                m2 = texture_model(zs, g2, feature=Pixels(), search=Search(NoIndex(), 4), r=r)
-                lab = carry(old, labels_old, g2, m2.space, f)
-                up = resize(x, (h, w))
-                x = ClosedForm()(Objective(((1.0, m2.energy(lab)),)), up)
-            else:
-                x = resize(x, (h, w))
-        fit = em(x, [model], [], estep, steps=lev.steps, labels=labels)
-        x, labels_old, old = fit.texture, fit.labels[0], model
-        if log is not None: log.append((lev, t1-t0, time.time()-t1, [round(e) for e in fit.energies], x))
-    return x, labels_old, old
+        self,
+        exemplars: Sequence[Tensor],
+        masks: Sequence[Tensor | None],
+        grid: Grid,
+        generator: torch.Generator,
+    ) -> Float[Tensor, "c h w"]:
+        shapes = [(z.shape[1], z.shape[2]) for z in exemplars]
+        side = max(2, round(self.fraction * min(min(shape) for shape in shapes)))
+        space = label_space(shapes, side, masks)
+        while not len(space):  # a mask may leave no room for so large a block
+            side = side // 2
+            space = label_space(shapes, side, masks)
+        ny, nx = -(-grid.height // side), -(-grid.width // side)
+        labels = torch.randint(len(space), (ny * nx,), generator=generator)
+        blocks = strips(exemplars, space, side).patches(labels.to(exemplars[0].device))
+        blocks = blocks.view(ny, nx, side, side, -1).permute(4, 0, 2, 1, 3)
+        whole = blocks.reshape(len(exemplars[0]), ny * side, nx * side)
+        return whole[:, : grid.height, : grid.width].contiguous()
 
 
 @dataclass(frozen=True)
-class NoIndex:
-    def fit(self, keys):
+class RandomNeighborhoods:
+    """A random exemplar neighborhood at every site, averaged.
+
+    Source: Kwatra et al. 2005, Algorithm 1.
+    """
+
+    def __call__(
+        self,
+        exemplars: Sequence[Tensor],
+        masks: Sequence[Tensor | None],
+        grid: Grid,
+        generator: torch.Generator,
+    ) -> Float[Tensor, "c h w"]:
+        shapes = tuple((z.shape[1], z.shape[2]) for z in exemplars)
+        space = label_space(shapes, grid.size, masks)
+        pick = torch.randint(len(space), (len(grid),), generator=generator)
+        weights = torch.ones(len(grid)).to(exemplars[0])
+        return LabelField(grid, space.positions[pick], weights, shapes).apply(exemplars)
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What `on_step` is given.
+
+    Args:
+        level, levels: number of the level from 0, and how many there are.
+        schedule: the level's settings.
+        half: the half-step that has just ended; `half.texture` is a preview.
+        done: share of the work that is done, in [0, 1], by an estimate.
+    """
+
+    level: int
+    levels: int
+    schedule: Level
+    half: HalfStep
+    done: float
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Record of one level: its settings, the energy after each half-step, seconds, last pixels."""
+
+    level: Level
+    energies: tuple[float, ...]
+    sites: int
+    seconds: float
+    snapshot: Float[Tensor, "c _ _"]
+
+
+@dataclass(frozen=True)
+class Result:
+    """A texture, where it came from, and how it was made.
+
+    Args:
+        texture: (c, h, w) in [0, 1].
+        labels: label of each site of the finest grid, in its label space.
+        field: positions, weights and grid: renders aligned maps.
+        traces: one per level.
+        seconds: of the whole synthesis.
+        seed: of the run.
+        settings: plain values that describe the run.
+    """
+
+    texture: Float[Tensor, "c h w"]
+    labels: Int[Tensor, "n"]
+    field: LabelField
+    traces: tuple[Trace, ...]
+    seconds: float
+    seed: int
+    settings: Mapping[str, Any]
+
+    @property
+    def offsets(self) -> Int[Tensor, "ny nx 2"]:
+        """Offset field; see `LabelField.offsets`."""
+        return self.field.offsets
+
+    @property
+    def source_map(self) -> Int[Tensor, "h w 3"]:
+        """Exemplar, row and column of each pixel; see `LabelField.source_map`."""
+        return self.field.source_map()
+
+    @property
+    def energies(self) -> tuple[float, ...]:
+        """Energy after each half-step, all levels in order, per site."""
+        return tuple(e / trace.sites for trace in self.traces for e in trace.energies)
+
+    def apply(
+        self, maps: Float[Tensor, "k _ _"] | Sequence[Float[Tensor, "k _ _"]]
+    ) -> Float[Tensor, "k h w"]:
+        """Renders maps aligned with the exemplars with the same labels and weights."""
+        return self.field.apply(maps)
+
+    def save(self, path: str | Path, *, bits: Literal[8, 16] = 8) -> None:
+        """Writes the texture; a PNG also holds the settings, as JSON in the text chunk torchtex."""
+        images.save(path, self.texture, bits=bits, metadata={"torchtex": json.dumps(self.report())})
+
+    def report(self) -> dict[str, Any]:
+        """Settings, seed, timings and energies as plain values."""
+        return {
+            "seed": self.seed,
+            "seconds": self.seconds,
+            "settings": dict(self.settings),
+            "levels": [
+                {
+                    **asdict(trace.level),
+                    "sites": trace.sites,
+                    "seconds": trace.seconds,
+                    "energies": list(trace.energies),
+                }
+                for trace in self.traces
+            ],
+        }
+
+    def plot(self) -> Any:
+        """The energy curve as a matplotlib figure, with the last texture of each level.
+
+        Source: the layout of Kwatra et al. 2005, fig. 3.
+
+        Raises:
+            ImportError: matplotlib is missing.
+        """
+        try:
+            from matplotlib.figure import Figure
+        except ImportError:
+            raise ImportError("result.plot() needs matplotlib; install torchtex[plot]") from None
+        figure = Figure(figsize=(2.2 * len(self.traces), 5), layout="constrained")
+        grid = figure.add_gridspec(2, len(self.traces), height_ratios=(2, 1))
+        curve, start = figure.add_subplot(grid[0, :]), 0
+        for number, trace in enumerate(self.traces):
+            energies = [e / trace.sites for e in trace.energies]
+            name = f"{trace.level.scale:g}, {trace.level.size} px"
+            curve.plot(range(start, start + len(energies)), energies, marker=".", label=name)
+            start += len(energies)
+            axes = figure.add_subplot(grid[1, number])
+            axes.imshow(
+                trace.snapshot[:3].mean(0).cpu()
+                if len(trace.snapshot) not in (3,)
+                else trace.snapshot.clamp(0, 1).permute(1, 2, 0).cpu(),
+                cmap="gray",
+            )
+            axes.set_title(name)
+            axes.set_axis_off()
+        curve.set_xlabel("half-step")
+        curve.set_ylabel("energy per site")
+        curve.legend()
+        return figure
+
+
+def synthesize(
+    exemplars: Float[Tensor, "c _ _"] | Sequence[Float[Tensor, "c _ _"]],
+    size: tuple[int, int],
+    *,
+    masks: Bool[Tensor, "_ _"] | Sequence[Bool[Tensor, "_ _"] | None] | None = None,
+    feature: Feature | None = None,
+    r: float = 0.8,
+    completeness: float = 50.0,
+    start: Start | None = None,
+    init: Float[Tensor, "c _ _"] | None = None,
+    schedule: Sequence[Level] | None = None,
+    boundary: Literal["free", "periodic"] = "free",
+    search: Search | None = None,
+    estep: EStep | None = None,
+    controls: Sequence[tuple[float, Energy]] = (),
+    guides: Sequence[Guide] = (),
+    seed: int = 0,
+    on_step: Callable[[Progress], None] | None = None,
+) -> Result:
+    """Makes a texture of `size` that looks like the exemplars.
+
+    Args:
+        exemplars: one image (c, hz, wz) in [0, 1] or several; several are one label space.
+        size: height and width of the texture, in pixels.
+        masks: True where an exemplar may be used; one per exemplar.
+        feature: what is compared; `Pixels()` unless given.
+        r: robust exponent, in (0, 2]; 2 is least squares.
+        completeness: at the coarse levels, how strongly exemplar neighborhoods that nobody uses
+            are preferred; 0 for plain nearest neighborhoods, as in the paper.
+        start: first pixels; `Blocks()` unless given.
+        init: an image to start from instead; resized to the coarsest level.
+        schedule: levels; those whose windows fit neither exemplar nor texture are left out.
+        boundary: "periodic" makes a texture that tiles.
+        search: of the M-step; `fast_search()` unless given.
+        estep: `Auto()` unless given.
+        controls: (weight, energy) pairs; any function of the image is an energy. One with a
+            method `at(height, width)` is asked for its form at each level.
+        guides: fixed channels to follow.
+        seed: same seed, same machine: same bits.
+        on_step: called after each half-step; raise from it to cancel.
+
+    Raises:
+        ValueError: an option out of range, or nothing fits; the message says what to change.
+
+    Source: Kwatra et al. 2005; completeness after Simakov et al. 2008 and Granot et al. 2022.
+
+    Example:
+        >>> from torchtex import data
+        >>> synthesize(data.load("gravel")[:, :40, :40], (48, 64), seed=1).texture.shape
+        torch.Size([1, 48, 64])
+    """
+    began = time.perf_counter()
+    zs = [exemplars] if isinstance(exemplars, Tensor) else list(exemplars)
+    height, width = _check(zs, size, boundary)
+    keep = _masks(masks, zs)
+    plan = _plan(zs, keep, height, width, tuple(schedule or default_schedule()))
+    if init is not None:
+        check_image(init, "init")
+        if len(init) != len(zs[0]):
+            raise ValueError(
+                f"init has {len(init)} channels and exemplar {len(zs[0])}; give both the same"
+            )
+    feature = Pixels() if feature is None else feature
+    search = fast_search() if search is None else search
+    estep = Auto() if estep is None else estep
+    generator = torch.Generator().manual_seed(seed)
+    traces: list[Trace] = []
+    work = [level.steps * len(level.grid(height, width, False)) * level.size**2 for level in plan]
+    x: Tensor | None = None
+    fit: Fit | None = None
+    model: TextureModel | None = None
+    for number, level in enumerate(plan):
+        level_began = time.perf_counter()
+        grid = level.grid(height, width, boundary == "periodic")
+        smaller = [_scaled(z, level) for z in zs]
+        some = [_scaled_mask(mask, level) for mask in keep]
+        if x is None:
+            if init is None:
+                x = (start or Blocks())(smaller, some, grid, generator)
+            else:
+                x = resize(init.to(zs[0]), (grid.height, grid.width))
+        elif tuple(x.shape[1:]) != (grid.height, grid.width):
+            assert model is not None
+            assert fit is not None
+            x = _carried(model, fit, x, smaller, some, grid)
+        model = texture_model(
+            smaller,
+            grid,
+            feature=feature,
+            search=search,
+            r=r,
+            completeness=completeness if level.scale <= 0.5 else 0.0,
+            masks=some,
+            guides=[g.at(level.scale, grid.height, grid.width) for g in guides],
+            generator=generator,
+        )
+        terms = [
+            (w, c.at(grid.height, grid.width) if isinstance(c, Scaled) else c) for w, c in controls
+        ]
+        report = _reporter(on_step, number, plan, work)
+        fit = em(x, [model], terms, estep, steps=level.steps, on_step=report)
+        x = fit.texture
+        seconds = time.perf_counter() - level_began
+        traces.append(Trace(level, fit.energies, len(grid), seconds, x))
+    assert x is not None
+    assert fit is not None
+    assert model is not None
+    labels = fit.labels[0]
+    energy = model.energy(labels)
+    weights = energy.site_weights(energy.distances(x))
+    shapes = tuple((z.shape[1], z.shape[2]) for z in zs)
+    field = LabelField(model.grid, model.space.positions[labels], weights, shapes)
+    if isinstance(feature, Pixels) and not controls and plan[-1].scale == 1:
+        x = field.apply(zs)  # one more reweighted mean, so that `apply` gives the same bits
+    settings = {
+        "size": [height, width],
+        "feature": repr(feature),
+        "r": r,
+        "completeness": completeness,
+        "start": repr(start or Blocks()) if init is None else "init",
+        "boundary": boundary,
+        "search": repr(search),
+    }
+    elapsed = time.perf_counter() - began
+    return Result(x.clamp(0, 1), labels, field, tuple(traces), elapsed, seed, settings)
+
+
+def estimate_memory(shapes: Sequence[tuple[int, int]], size: tuple[int, int], channels: int) -> int:
+    """Bytes a synthesis holds at its peak, about: images, keys and one band of windows."""
+    texture = size[0] * size[1]
+    exemplar = sum(h * w for h, w in shapes)
+    band = 16384 * 64
+    return 4 * (channels * (14 * texture + 60 * exemplar + 12 * band) + 80 * exemplar)
+
+
+def _check(zs: Sequence[Tensor], size: tuple[int, int], boundary: str) -> tuple[int, int]:
+    if not zs:
+        raise ValueError("exemplar: none given; give at least one image")
+    for z in zs:
+        check_image(z, "exemplar")
+        if len(z) != len(zs[0]):
+            raise ValueError(
+                f"exemplar: one has {len(zs[0])} channels and another {len(z)}; "
+                "convert them to the same"
+            )
+    height, width = size
+    if height < 1 or width < 1:
+        raise ValueError(f"size={height}x{width} must be at least 1x1; give height x width")
+    if boundary not in ("free", "periodic"):
+        raise ValueError(f'boundary="{boundary}" must be "free" or "periodic"')
+    need = estimate_memory([(z.shape[1], z.shape[2]) for z in zs], size, len(zs[0]))
+    have = _memory()
+    if have is not None and need > have:
+        raise ValueError(
+            f"size={height}x{width} would need about {need / 2**30:.1f} GiB of memory and "
+            f"{have / 2**30:.1f} GiB are there; choose a smaller size"
+        )
+    return height, width
+
+
+def _memory() -> int | None:
+    """Bytes of physical memory, where the system tells."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (ValueError, OSError, AttributeError):
         return None
+
+
+def _masks(
+    masks: Tensor | Sequence[Tensor | None] | None, zs: Sequence[Tensor]
+) -> list[Tensor | None]:
+    if masks is None:
+        return [None] * len(zs)
+    keep: list[Tensor | None] = [masks] if isinstance(masks, Tensor) else list(masks)
+    if len(keep) != len(zs):
+        raise ValueError(f"mask: {len(keep)} given for {len(zs)} exemplars; give one each")
+    for mask, z in zip(keep, zs, strict=True):
+        if mask is None:
+            continue
+        if mask.shape != z.shape[1:]:
+            raise ValueError(
+                f"mask is {mask.shape[0]}x{mask.shape[1]} and its exemplar "
+                f"{z.shape[1]}x{z.shape[2]}; give a mask of the size of the exemplar"
+            )
+        if not bool(mask.any()):
+            raise ValueError("mask is empty: no pixel of the exemplar may be used; widen it")
+    return keep
+
+
+def _plan(
+    zs: Sequence[Tensor],
+    masks: Sequence[Tensor | None],
+    height: int,
+    width: int,
+    schedule: tuple[Level, ...],
+) -> list[Level]:
+    """The levels whose windows fit the texture and at least one exemplar with its mask."""
+    plan = []
+    for level in schedule:
+        shapes = [(level.extent(z.shape[1]), level.extent(z.shape[2])) for z in zs]
+        small = min(level.extent(height), level.extent(width))
+        some = [_scaled_mask(mask, level) for mask in masks]
+        if small >= level.size and len(label_space(shapes, level.size, some)):
+            plan.append(level)
+    if not plan:
+        least = min(level.size / level.scale for level in schedule)
+        shapes_ = ", ".join(f"{z.shape[1]}x{z.shape[2]}" for z in zs)
+        raise ValueError(
+            f"exemplar of {shapes_} for size={height}x{width}: no window of the schedule fits "
+            f"(the smallest needs {least:g} unmasked pixels a side); "
+            "give a larger exemplar, size or mask, or a schedule with smaller windows"
+        )
+    return plan
+
+
+def _scaled(z: Tensor, level: Level) -> Tensor:
+    if level.scale == 1:
+        return z
+    return resize(z, (level.extent(z.shape[1]), level.extent(z.shape[2])))
+
+
+def _scaled_mask(mask: Tensor | None, level: Level) -> Tensor | None:
+    if mask is None or level.scale == 1:
+        return mask
+    size = (level.extent(mask.shape[0]), level.extent(mask.shape[1]))
+    return resize(mask[None].float(), size)[0] > 0.95
+
+
+def _carried(
+    model: TextureModel,
+    fit: Fit,
+    x: Tensor,
+    exemplars: Sequence[Tensor],
+    masks: Sequence[Tensor | None],
+    grid: Grid,
+) -> Tensor:
+    """The texture of the next scale, rendered from the labels of the last one.
+
+    The labels point into the sharp exemplar, so detail comes back at once; an enlarged texture
+    would be blurred, and blurred neighborhoods match the dull parts of the exemplar.
+    """
+    factors = (grid.height / x.shape[1], grid.width / x.shape[2])
+    wide = round(model.grid.size * factors[0])
+    shapes = tuple((z.shape[1], z.shape[2]) for z in exemplars)
+    space = label_space(shapes, wide, masks)
+    if wide > min(grid.height, grid.width) or not len(space):
+        return resize(x, (grid.height, grid.width))
+    finer = Grid(grid.height, grid.width, wide, max(1, wide // 4), grid.periodic)
+    positions = _carried_positions(model, fit.labels[0], finer, factors, shapes)
+    lost = space.at(positions) < 0
+    if bool(lost.any()):  # a mask that leaves no place there
+        positions[lost] = space.positions[0]
+    weights = (~lost).to(x) + 1e-6
+    return LabelField(finer, positions, weights, shapes).apply(exemplars)
+
+
+def _carried_positions(
+    model: TextureModel,
+    labels: Tensor,
+    finer: Grid,
+    factors: tuple[float, float],
+    shapes: Sequence[tuple[int, int]],
+) -> Int[Tensor, "n 3"]:
+    old, half = model.grid, finer.size / 2
+    device = labels.device
+    picks, shifts = [], []
+    for axis, (sites, olds) in enumerate(((finer.rows, old.rows), (finer.cols, old.cols))):
+        centres = (sites + half) / factors[axis]
+        gaps = centres[:, None] - (olds + old.size / 2)[None]
+        pick = gaps.abs().argmin(1)
+        picks.append(pick.to(device))
+        shifts.append(gaps.gather(1, pick[:, None])[:, 0].to(device))
+    place = model.space.positions[labels].view(*old.shape, 3)[picks[0]][:, picks[1]]
+    which = place[..., 0]
+    limits = torch.tensor(shapes, device=device)[which] - finer.size
+    row = (place[..., 1] + old.size / 2 + shifts[0][:, None]) * factors[0] - half
+    col = (place[..., 2] + old.size / 2 + shifts[1][None]) * factors[1] - half
+    spots = torch.stack([row, col], -1).round().long().clamp(min=0)
+    spots = torch.minimum(spots, limits)
+    return torch.cat([which[..., None], spots], -1).view(-1, 3)
+
+
+def _reporter(
+    on_step: Callable[[Progress], None] | None,
+    number: int,
+    plan: Sequence[Level],
+    work: Sequence[int],
+) -> Callable[[HalfStep], None] | None:
+    if on_step is None:
+        return None
+
+    def report(half: HalfStep) -> None:
+        level = plan[number]
+        share = (2 * half.step + (1 if half.half == "M" else 2)) / (2 * level.steps)
+        done = (sum(work[:number]) + share * work[number]) / sum(work)
+        on_step(Progress(number, len(plan), level, half, done))
+
+    return report

@@ -1,0 +1,36 @@
+from . import data as data
+from . import image as image
+from . import metrics as metrics
+from . import wavelets as wavelets
+from .controls import Guide as Guide
+from .controls import SoftConstraint as SoftConstraint
+from .em import HalfStep as HalfStep
+from .em import em as em
+from .energy import Objective as Objective
+from .energy import TextureEnergy as TextureEnergy
+from .estep import Auto as Auto
+from .estep import ClosedForm as ClosedForm
+from .estep import Descend as Descend
+from .features import Gradients as Gradients
+from .features import Pixels as Pixels
+from .features import Stack as Stack
+from .features import Wavelets as Wavelets
+from .labels import LabelField as LabelField
+from .matching import Chunked as Chunked
+from .matching import Clustered as Clustered
+from .matching import Exact as Exact
+from .model import Search as Search
+from .model import TextureModel as TextureModel
+from .model import exact_search as exact_search
+from .model import fast_search as fast_search
+from .model import texture_model as texture_model
+from .neighborhoods import Grid as Grid
+from .synthesize import Blocks as Blocks
+from .synthesize import Level as Level
+from .synthesize import Progress as Progress
+from .synthesize import RandomNeighborhoods as RandomNeighborhoods
+from .synthesize import Result as Result
+from .synthesize import default_schedule as default_schedule
+from .synthesize import synthesize as synthesize
+
+__version__: str

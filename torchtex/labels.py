@@ -1,0 +1,136 @@
+"""The label field: where every window of a texture came from, and how to render from it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchtex.image import atomic_write, check_image
+from torchtex.model import LabelSpace, strips
+from torchtex.neighborhoods import Grid, falloff
+
+
+@dataclass(frozen=True)
+class LabelField:
+    """Source of every window of a texture, and its weight.
+
+    Args:
+        grid: windows of the texture.
+        positions: (n, 3), exemplar, row and column of the first pixel of each matched window.
+        weights: (n,), the robust weights of the windows in the average.
+        shapes: height and width of each exemplar.
+
+    Example:
+        >>> grid = Grid(8, 8, 8, 8)
+        >>> field = LabelField(grid, torch.tensor([[0, 2, 1]]), torch.ones(1), ((16, 16),))
+        >>> field.apply(torch.rand(1, 16, 16)).shape
+        torch.Size([1, 8, 8])
+    """
+
+    grid: Grid
+    positions: Int[Tensor, "n 3"]
+    weights: Float[Tensor, "n"]
+    shapes: tuple[tuple[int, int], ...]
+
+    @property
+    def offsets(self) -> Int[Tensor, "ny nx 2"]:
+        """Offset field: source position minus site, (row, column), per site."""
+        ny, nx = self.grid.shape
+        return (self.positions[:, 1:] - self.grid.sites.to(self.positions.device)).view(ny, nx, 2)
+
+    def source_map(self) -> Int[Tensor, "h w 3"]:
+        """Exemplar, row and column that weigh most in each pixel of the texture."""
+        h, w, size = self.grid.height, self.grid.width, self.grid.size
+        profile = falloff(size).to(self.weights)
+        best = self.weights.new_full((h, w), -1)
+        source = torch.zeros(h, w, 3, dtype=torch.long, device=self.positions.device)
+        rows, cols = self.grid.rows, self.grid.cols
+        place = self.positions.view(len(rows), len(cols), 3)
+        weights = self.weights.view(len(rows), len(cols))
+        for i in range(size):
+            for j in range(size):
+                # the windows of one offset touch distinct pixels, so this is one assignment
+                at = ((rows + i) % h)[:, None], ((cols + j) % w)[None]
+                here = weights * profile[i, j]
+                wins = here > best[at]
+                best[at] = torch.where(wins, here, best[at])
+                step = torch.tensor([0, i, j], device=place.device)
+                source[at] = torch.where(wins[..., None], place + step, source[at])
+        return source
+
+    def apply(
+        self, maps: Float[Tensor, "k hz wz"] | Sequence[Float[Tensor, "k _ _"]]
+    ) -> Float[Tensor, "k h w"]:
+        """Renders maps aligned with the exemplars (normals, height, ...) with the same labels.
+
+        Raises:
+            ValueError: another number of maps than exemplars, or a map of another size.
+        """
+        images = [maps] if isinstance(maps, Tensor) else list(maps)
+        if len(images) != len(self.shapes):
+            raise ValueError(
+                f"map: {len(images)} given for {len(self.shapes)} exemplars; give one each"
+            )
+        for image, shape in zip(images, self.shapes, strict=True):
+            check_image(image, "map")
+            if tuple(image.shape[1:]) != shape:
+                raise ValueError(
+                    f"map is {image.shape[1]}x{image.shape[2]} and its exemplar is "
+                    f"{shape[0]}x{shape[1]}; give a map of the size of the exemplar"
+                )
+        grid, size = self.grid, self.grid.size
+        profile = falloff(size).to(images[0]).flatten()
+        table = strips(images, LabelSpace(self.positions, ()), size)
+        sums = images[0].new_zeros(len(images[0]), grid.height, grid.width)
+        cover = sums.new_zeros(1, grid.height, grid.width)
+        nx = grid.shape[1]
+        every = torch.arange(len(self.positions), device=self.positions.device)
+        for band in grid.bands(max(64, 2**20 // size**2)):
+            some = every[band.start * nx : band.stop * nx]
+            weights = self.weights[some].to(sums)[:, None] * profile
+            patches = table.patches(some).view(len(some), size * size, -1)
+            sums += grid.scatter((patches * weights[..., None]).flatten(1), band)
+            cover += grid.scatter(weights, band)
+        return sums / cover
+
+    def save(self, path: str | Path) -> None:
+        """Writes an .npz file.
+
+        Raises:
+            ValueError: the file cannot be written.
+        """
+        grid = self.grid
+        numbers = [grid.height, grid.width, grid.size, grid.stride, int(grid.periodic)]
+        with atomic_write(path) as temporary, open(temporary, "wb") as file:
+            np.savez_compressed(
+                file,
+                grid=np.array(numbers),
+                positions=self.positions.cpu().numpy().astype(np.int32),
+                weights=self.weights.cpu().numpy(),
+                shapes=np.array(self.shapes),
+            )
+
+    @staticmethod
+    def load(path: str | Path) -> "LabelField":
+        """Reads a file that `save` wrote.
+
+        Raises:
+            ValueError: no such file, or another kind of file.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                height, width, size, stride, periodic = (int(v) for v in file["grid"])
+                grid = Grid(height, width, size, stride, bool(periodic))
+                shapes = tuple((int(h), int(w)) for h, w in file["shapes"])
+                positions = torch.from_numpy(file["positions"].astype(np.int64))
+                weights = torch.from_numpy(file["weights"])
+        except (OSError, KeyError, ValueError, TypeError, AttributeError, EOFError) as error:
+            raise ValueError(
+                f"labels={path} is not a label file ({error}); "
+                "give an .npz written with --labels or LabelField.save"
+            ) from None
+        return LabelField(grid, positions, weights, shapes)
