@@ -18,6 +18,7 @@ import inspect
 import json
 import os
 import platform
+import re
 import subprocess
 import sys
 import time
@@ -100,23 +101,26 @@ def torchtex(exemplar: np.ndarray, height: int, width: int, seed: int) -> Call:
 
 def paper(exemplar: np.ndarray, height: int, width: int, seed: int) -> Call:
     """Our own synthesis set as in Kwatra et al. 2005: plain matching, random neighborhoods."""
-    return _torchtex(exemplar, height, width, seed, completeness=0, start="neighborhoods")
+    from torchtex.synthesize import RandomNeighborhoods
+
+    start = RandomNeighborhoods()
+    return _torchtex(exemplar, height, width, seed, completeness=0.0, start=start)
 
 
 def _torchtex(exemplar: np.ndarray, height: int, width: int, seed: int, **options: Any) -> Call:
     import torch
 
-    import torchtex
+    from torchtex.synthesize import synthesize
 
     torch.set_num_threads(int(os.environ["OMP_NUM_THREADS"]))
     image = torch.from_numpy(exemplar).permute(2, 0, 1).float() / 255
 
-    def synthesize(image: torch.Tensor, size: tuple[int, int]) -> np.ndarray:
-        texture = torchtex.synthesize(image, size, seed=seed, **options).texture
+    def make(image: torch.Tensor, size: tuple[int, int]) -> np.ndarray:
+        texture = synthesize(image, size, seed=seed, **options).texture
         return (texture * 255).round().clamp(0, 255).byte().permute(1, 2, 0).numpy()
 
-    synthesize(image[:, :64, :64], (64, 64))  # warm up: lazy imports, thread pools
-    return lambda: synthesize(image, (height, width))
+    make(image[:, :64, :64], (64, 64))  # warm up: lazy imports, thread pools
+    return lambda: make(image, (height, width))
 
 
 SYNTHESIZERS: dict[str, Callable[[np.ndarray, int, int, int], Call]] = {
@@ -206,6 +210,27 @@ def fingerprint(*paths: Path) -> str:
     return digest.hexdigest()[:16]
 
 
+def modules(name: str) -> set[Path]:
+    """The files of one module of torchtex and of all its modules that it imports."""
+    found: set[Path] = set()
+    wanted = [ROOT / "torchtex" / f"{name}.py"]
+    while wanted:
+        path = wanted.pop()
+        if path in found or not path.exists():
+            continue
+        found.add(path)
+        names = re.findall(r"^\s*from torchtex\.(\w+) import", path.read_text(), re.MULTILINE)
+        wanted += [path.with_name(f"{other}.py") for other in names]
+    return found
+
+
+def _source_hash(method: str) -> str:
+    """A hash of how a method is called."""
+    functions = [SYNTHESIZERS[method], *([_torchtex] if method in OURS else [])]
+    text = "".join(inspect.getsource(function) for function in functions)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
 def _device() -> str:
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
@@ -244,10 +269,9 @@ class Bench:
         peers = any(m in PEERS for m in methods)
         self.python = str(peers_python(peers_env)) if peers else sys.executable
         self.versions = versions(self.python, PACKAGES) if peers else {}
-        package = ROOT / "torchtex"
-        measures = {package / "metrics.py", package / "matching.py"}
-        self.source = fingerprint(*(p for p in package.glob("*.py") if p.name != "metrics.py"))
-        self.measures = fingerprint(*(p for p in measures if p.exists()))
+        self.source = fingerprint(*modules("synthesize"))
+        self.measures = fingerprint(*modules("metrics"))
+        self.calls = {name: _source_hash(name) for name in SYNTHESIZERS}
 
     def exemplar(self, case: Any) -> Path:
         """The exemplar as a file, for the workers and the contact sheets."""
@@ -265,7 +289,7 @@ class Bench:
         path.parent.mkdir(exist_ok=True)
         made_by = {
             "version": self.versions.get(method, self.source),
-            "call": hashlib.sha256(inspect.getsource(SYNTHESIZERS[method]).encode()).hexdigest(),
+            "call": self.calls[method],
             "exemplar": fingerprint(exemplar),
             "size": SIZE,
             "threads": self.threads,

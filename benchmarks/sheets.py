@@ -78,7 +78,7 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=0, help="which pictures to show")
     parser.add_argument("--rows", type=int, default=5, help="exemplars on a sheet")
     parser.add_argument("--format", choices=("jpg", "png"), default="jpg",
-                        help="jpg (about a tenth of the size) or png (exact)")  # fmt: skip
+                        help="jpg (a quarter of the size) or png (exact)")  # fmt: skip
     options = parser.parse_args(arguments)
     if options.rows < 1:
         parser.error(f"--rows={options.rows} must be at least 1")

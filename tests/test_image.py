@@ -223,9 +223,12 @@ def test_a_transparent_sixteen_bit_colour_is_a_mask(tmp_path: Path, channels: in
 
 @pytest.mark.parametrize("order", ["<", ">"])
 @pytest.mark.parametrize("channels", [1, 3, 4])
-def test_sixteen_bit_tiff_keeps_all_bits(tmp_path: Path, channels: int, order: str) -> None:
+@pytest.mark.parametrize("deflate", [False, True])
+def test_sixteen_bit_tiff_keeps_all_bits(
+    tmp_path: Path, deflate: bool, channels: int, order: str
+) -> None:
     pixels = levels(11, 7, channels, bits=16)
-    (tmp_path / "x.tif").write_bytes(tiff16(pixels, order))
+    (tmp_path / "x.tif").write_bytes(tiff16(pixels, order, deflate=deflate))
     picture = image.load(tmp_path / "x.tif")
     assert np.array_equal(as_levels(picture.image, 16), pixels[..., :3])
     if channels == 4:
@@ -233,17 +236,18 @@ def test_sixteen_bit_tiff_keeps_all_bits(tmp_path: Path, channels: int, order: s
         assert np.array_equal(picture.mask.numpy(), pixels[..., -1] > 32767)
 
 
-def tiff16(pixels: np.ndarray, order: str, *, planar: int = 1) -> bytes:
-    """An uncompressed 16-bit TIFF of one strip (or, with planar=2, one for each channel)."""
+def tiff16(pixels: np.ndarray, order: str, *, planar: int = 1, deflate: bool = False) -> bytes:
+    """A 16-bit TIFF of one strip (or, with planar=2, one for each channel)."""
     h, w, c = pixels.shape
     strips = [pixels] if planar == 1 else [pixels[..., i] for i in range(c)]
     bodies = [strip.astype(f"{order}u2").tobytes() for strip in strips]
+    bodies = [zlib.compress(body) for body in bodies] if deflate else bodies
     short, long = 3, 4
     tags: list[tuple[int, int, list[int]]] = [
         (256, long, [w]),
         (257, long, [h]),
         (258, short, [16] * c),
-        (259, short, [1]),
+        (259, short, [8 if deflate else 1]),
         (262, short, [1 if c == 1 else 2]),
         (273, long, []),
         (277, short, [c]),

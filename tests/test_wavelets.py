@@ -273,7 +273,7 @@ MAPS = {
 }
 
 
-@pytest.mark.filterwarnings("ignore::UserWarning", "ignore::DeprecationWarning")
+@pytest.mark.filterwarnings("ignore:.torch.jit.script. is:DeprecationWarning")  # forward mode
 @pytest.mark.parametrize("name", MAPS)
 def test_gradients(name: str) -> None:
     x = noise(1, 5, 4).requires_grad_()

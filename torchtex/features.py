@@ -140,12 +140,10 @@ class Wavelets:
             return patches
         size = patches.shape[1]
         levels = max(1, min(self.levels, (size & -size).bit_length() - 1))
-        whole = wavelets.window_transform(
-            patches.permute(0, 3, 1, 2).flatten(0, 1), self.wavelet, levels
-        )
+        whole = wavelets.window_transform(patches, self.wavelet, levels)
         kinds = wavelets.window_bands(size, levels).to(patches.device)
         roots = torch.tensor(self._roots[: 3 * levels + 1]).to(patches)[kinds]
-        return (whole * roots).view(len(patches), -1, size, size).permute(0, 2, 3, 1)
+        return whole * roots[..., None]
 
 
 @dataclass(frozen=True)

@@ -457,8 +457,10 @@ def _sixteen_bits(image: Any, data: bytes, raw: str) -> NDArray[Any]:
     layout = "RGBA" if raw.startswith("LA") else raw[:-1] + swapped
     again = _open(data)
     again.tile = [
-        (codec, box, offset, layout if isinstance(args, str) else (layout, *args[1:]))
-        for codec, box, offset, args in image.tile
+        getattr(type(tile), "_make", tuple)(
+            (*tile[:3], layout if isinstance(tile[3], str) else (layout, *tile[3][1:]))
+        )
+        for tile in image.tile
     ]
     low = _turned(again).astype(np.int32)
     if raw.startswith("LA"):
