@@ -236,7 +236,14 @@ def test_sixteen_bit_tiff_keeps_all_bits(
         assert np.array_equal(picture.mask.numpy(), pixels[..., -1] > 32767)
 
 
-def tiff16(pixels: np.ndarray, order: str, *, planar: int = 1, deflate: bool = False) -> bytes:
+def tiff16(
+    pixels: np.ndarray,
+    order: str,
+    *,
+    planar: int = 1,
+    deflate: bool = False,
+    white_is_zero: bool = False,
+) -> bytes:
     """A 16-bit TIFF of one strip (or, with planar=2, one for each channel)."""
     h, w, c = pixels.shape
     strips = [pixels] if planar == 1 else [pixels[..., i] for i in range(c)]
@@ -248,7 +255,7 @@ def tiff16(pixels: np.ndarray, order: str, *, planar: int = 1, deflate: bool = F
         (257, long, [h]),
         (258, short, [16] * c),
         (259, short, [8 if deflate else 1]),
-        (262, short, [1 if c == 1 else 2]),
+        (262, short, [2 if c > 1 else 0 if white_is_zero else 1]),
         (273, long, []),
         (277, short, [c]),
         (278, long, [h]),
@@ -306,7 +313,10 @@ def bad_files(folder: Path) -> dict[str, str]:
         frames[0].save(folder / name, save_all=True, append_images=frames[1:])
     whole = np.arange(12, dtype=np.int32).reshape(3, 4)
     Image.fromarray(whole).save(folder / "int32.tif")
-    (folder / "planes.tif").write_bytes(tiff16(levels(8, 8, 3, bits=16), "<", planar=2))
+    deep = levels(8, 8, 3, bits=16)
+    (folder / "planes.tif").write_bytes(tiff16(deep, "<", planar=2))
+    (folder / "packed.tif").write_bytes(tiff16(deep, ">", planar=2, deflate=True))
+    (folder / "white.tif").write_bytes(tiff16(deep[..., :1], "<", white_is_zero=True))
     huge = struct.pack(">IIBBBBB", 60000, 60000, 8, 0, 0, 0, 0)
     (folder / "huge.png").write_bytes(data[:8] + chunk(b"IHDR", huge) + data[33:])
     large = struct.pack(">IIBBBBB", 10000, 10000, 8, 0, 0, 0, 0)
@@ -328,6 +338,8 @@ def bad_files(folder: Path) -> dict[str, str]:
         "pages.tif": "holds 3 frames",
         "int32.tif": "pixel format",
         "planes.tif": "pixel format",
+        "packed.tif": "pixel format",
+        "white.tif": "pixel format",
         "huge.png": "too many pixels",
         "large.png": "too many pixels",
     }

@@ -109,8 +109,8 @@ class Wavelets:
         wavelets.filters(self.wavelet)
         if self.mode not in ("stationary", "window"):
             raise ValueError(f'mode="{self.mode}" must be "stationary" or "window"')
-        if self.levels < 1:
-            raise ValueError(f"levels={self.levels} must be at least 1")
+        if not 1 <= self.levels <= 8:
+            raise ValueError(f"levels={self.levels} must lie in 1..8")
         if len(self.level_weights) != self.levels + 1 or min(self.level_weights) < 0:
             raise ValueError(
                 f"weights={self.weights} must be {self.levels + 1} numbers of at least 0: "
@@ -142,7 +142,9 @@ class Wavelets:
         levels = max(1, min(self.levels, (size & -size).bit_length() - 1))
         whole = wavelets.window_transform(patches, self.wavelet, levels)
         kinds = wavelets.window_bands(size, levels).to(patches.device)
-        roots = torch.tensor(self._roots[: 3 * levels + 1]).to(patches)[kinds]
+        # a small window cannot be halved so often: its coarsest levels are missing
+        some = [self._roots[0], *self._roots[len(self._roots) - 3 * levels :]]
+        roots = torch.tensor(some).to(patches)[kinds]
         return whole * roots[..., None]
 
 

@@ -403,11 +403,13 @@ def _decode(data: bytes, where: str) -> tuple[NDArray[Any], NDArray[Any] | None]
     with _decoding(where):
         image = _open(data)
         frames = getattr(image, "n_frames", 1)
-        depth = max(image.tag_v2.get(258, (8,))) if image.format == "TIFF" else 16
+        tags = image.tag_v2 if image.format == "TIFF" else {}
+        depth = max(tags.get(258, (16,)))
     if frames > 1 and image.format != "MPO":  # MPO: a JPEG with its preview or depth
         raise ValueError(f"{where} holds {frames} frames; save one of them as a still picture")
     raw = _raw_mode(image)
-    if (image.mode == "I" and image.format != "PNG") or (depth > 8 and raw in list("RGBA")):
+    misread = depth > 8 and (tags.get(284) == 2 or (tags.get(262) == 0 and image.mode != "F"))
+    if misread or (image.mode == "I" and image.format != "PNG"):  # planes, white as 0, 32 bits
         raise ValueError(f"{where} has a pixel format that is not supported; export it as PNG")
     key = image.info.get("transparency")
     with _decoding(where):

@@ -30,6 +30,9 @@ from torchtex.model import (
 )
 from torchtex.neighborhoods import Grid
 
+COMPLETE_SCALE = 0.5
+"""Levels up to this scale are complete: beyond it the full distance matrix is large."""
+
 
 @dataclass(frozen=True)
 class Level:
@@ -366,7 +369,7 @@ def synthesize(
             feature=feature,
             search=search,
             r=r,
-            completeness=completeness if level.scale <= 0.5 else 0.0,
+            completeness=completeness if level.scale <= COMPLETE_SCALE else 0.0,
             masks=some,
             guides=[g.at(level.scale, grid.height, grid.width) for g in guides],
             generator=generator,

@@ -1,0 +1,40 @@
+"""Shared by all tests: one thread, and small made-up images."""
+
+from collections.abc import Iterator
+
+import pytest
+import torch
+from torch import Tensor
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+def noise(*shape: int, seed: int = 0, dtype: torch.dtype = torch.float64) -> Tensor:
+    """Independent uniform numbers in [0, 1]."""
+    generator = torch.Generator().manual_seed(seed)
+    return torch.rand(*shape, generator=generator, dtype=torch.float64).to(dtype)
+
+
+def stripes(height: int = 32, width: int = 32, channels: int = 3, seed: int = 0) -> Tensor:
+    """Slanted stripes with a little noise, another phase in each channel."""
+    row = torch.arange(height, dtype=torch.float64)[:, None]
+    col = torch.arange(width, dtype=torch.float64)[None]
+    waves = [torch.sin(0.9 * row + 0.35 * col + k) for k in range(channels)]
+    image = 0.5 + 0.35 * torch.stack(waves)
+    return (image + 0.1 * (noise(channels, height, width, seed=seed) - 0.5)).clamp(0, 1)
+
+
+def spots(side: int = 48, seed: int = 0) -> Tensor:
+    """A flat ground with fine grain and one rare motif: a bright ring with a dark heart."""
+    row = torch.arange(side, dtype=torch.float64)[:, None] - side * 0.4
+    col = torch.arange(side, dtype=torch.float64)[None] - side * 0.6
+    radius = (row**2 + col**2).sqrt()
+    ring = torch.exp(-((radius - 5) ** 2) / 3) - 0.7 * torch.exp(-(radius**2) / 4)
+    grain = 0.06 * (noise(1, side, side, seed=seed) - 0.5)
+    return (0.4 + 0.55 * ring[None] + grain).clamp(0, 1)
