@@ -50,7 +50,8 @@ NAMES = {
 }
 
 Call = Callable[[], np.ndarray]
-Taken = dict[str, float]  # seconds and memory_mib of one call
+Taken = dict[str, float]  # what one call took: seconds, cpu_seconds, memory_mib
+TAKEN = ("seconds", "cpu_seconds", "memory_mib")
 
 
 # Methods: given an 8-bit (h, w, 3) exemplar, each prepares all that should not be timed and
@@ -135,16 +136,17 @@ def worker(method: str, exemplar: str, out: str, seed: str) -> None:
     """Make one picture and print what it took, as JSON."""
     call = SYNTHESIZERS[method](np.array(Image.open(exemplar)), SIZE, SIZE, int(seed))
     before = _reset_peak_memory()
-    start = time.perf_counter()
+    start, start_cpu = time.perf_counter(), time.process_time()
     texture = call()
-    seconds = time.perf_counter() - start
+    seconds, cpu = time.perf_counter() - start, time.process_time() - start_cpu
     memory = (_memory("VmHWM") - before) / 1024
     if texture.shape != (SIZE, SIZE, 3) or texture.dtype != np.uint8:
         raise ValueError(f"{method} returned {texture.dtype} {texture.shape}")
     part = f"{out}.part"
     Image.fromarray(texture).save(part, format="PNG")
     os.replace(part, out)
-    print(json.dumps({"seconds": round(seconds, 4), "memory_mib": round(memory, 1)}))
+    taken = {"seconds": seconds, "cpu_seconds": cpu, "memory_mib": memory}
+    print(json.dumps({name: round(value, 3) for name, value in taken.items()}))
 
 
 def _reset_peak_memory() -> int:
@@ -226,7 +228,7 @@ def modules(name: str) -> set[Path]:
 
 def _source_hash(method: str) -> str:
     """A hash of how a method is called."""
-    functions = [SYNTHESIZERS[method], *([_torchtex] if method in OURS else [])]
+    functions = [worker, SYNTHESIZERS[method], *([_torchtex] if method in OURS else [])]
     text = "".join(inspect.getsource(function) for function in functions)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -253,8 +255,7 @@ class Run:
     method: str
     seed: int  # the strip's number for `real`
     metrics: dict[str, float] = field(default_factory=dict)
-    seconds: float | None = None
-    memory_mib: float | None = None
+    taken: Taken = field(default_factory=dict)
     error: str | None = None
 
 
@@ -311,7 +312,7 @@ class Bench:
             return Run(case.name, method, seed, error=error)
         texture = exemplars.load(path)
         metrics = self._measured(path.with_suffix(".json"), case.exemplar, texture)
-        return Run(case.name, method, seed, metrics, **taken)
+        return Run(case.name, method, seed, metrics, taken)
 
     def anchor(self, case: Any, method: str, index: int, texture: Any) -> Run:
         """A picture that nothing synthesised: a strip of the photo, or the exemplar repeated."""
@@ -411,9 +412,8 @@ def summarise(runs: Iterable[Run]) -> dict[str, dict[str, Values]]:
         row = table.setdefault(case, {})
         for method, group in methods.items():
             row[method] = {m: median(r.metrics[m] for r in group) for m in METRICS}
-            if all(r.seconds is not None for r in group):
-                row[method]["seconds"] = median(r.seconds or 0.0 for r in group)
-                row[method]["memory_mib"] = median(r.memory_mib or 0.0 for r in group)
+            if all(r.taken for r in group):
+                row[method] |= {name: median(r.taken[name] for r in group) for name in TAKEN}
             if method == "real":
                 row["real_worst"] = {m: max(r.metrics[m] for r in group) for m in METRICS}
     return table
@@ -501,17 +501,16 @@ def verdict(table: dict[str, dict[str, Values]]) -> list[Target]:
 ORDER = ("gmic", "resynthesizer", "torchtex", "paper", "tile", "real", "real_worst")
 
 
-def _row(first: str, values: Values, seconds: bool) -> str:
-    cells = [first, *(f"{values[m]:.3f}" for m in METRICS)]
-    if seconds:
-        cells.append(f"{values['seconds']:.2f}" if "seconds" in values else "")
-        cells.append(f"{values['memory_mib']:.0f}" if "memory_mib" in values else "")
-    return f"| {' | '.join(cells)} |"
+def _row(method: str, values: Values) -> str:
+    digits = dict.fromkeys(METRICS, 3) | {"seconds": 2, "cpu_seconds": 2, "memory_mib": 0}
+    cells = (f"{values[n]:.{d}f}" if n in values else "" for n, d in digits.items())
+    return f"| {NAMES[method]} | {' | '.join(cells)} |"
 
 
-def _header(first: str, seconds: bool) -> list[str]:
-    names = [first, *METRICS, *(("s", "MiB") if seconds else ())]
-    return [f"| {' | '.join(names)} |", f"|---{'|--:' * (len(names) - 1)}|"]
+HEADER = [
+    f"| method | {' | '.join(METRICS)} | s | CPU s | MiB |",
+    f"|---{'|--:' * (len(METRICS) + len(TAKEN))}|",
+]
 
 
 def report(
@@ -531,15 +530,15 @@ def report(
         f"Commit {about['commit']}; {packages}.",
         "",
         "Lower is better, except that nn, tail and swd need not fall below *real*: other, disjoint"
-        " parts of the same photo. *tile* is the exemplar repeated 2 x 2. s and MiB: time and"
-        " memory that the synthesis call added.",
+        " parts of the same photo. *tile* is the exemplar repeated 2 x 2. s, CPU s and MiB: what the"
+        " synthesis call took, and the memory that it added.",
         "",
         "## Medians over the exemplars",
         "",
-        *_header("method", True),
+        *HEADER,
     ]
     overall = medians(table)
-    lines += [_row(NAMES[m], overall[m], True) for m in ORDER if m in overall]
+    lines += [_row(m, overall[m]) for m in ORDER if m in overall]
     if diversity:
         shown = (f"{NAMES[m]} {v:.2f}" for m, v in diversity.items())
         lines += ["", f"Diversity between seeds (above 0.5 is free synthesis): {', '.join(shown)}."]
@@ -554,8 +553,8 @@ def report(
         lines += [f"- {NAMES[r.method]}, {r.case}, seed {r.seed}: {r.error}" for r in errors]
     lines += ["", "## Exemplars"]
     for case, row in table.items():
-        lines += ["", f"### {case}", "", *_header("method", True)]
-        lines += [_row(NAMES[m], row[m], True) for m in ORDER if m in row]
+        lines += ["", f"### {case}", "", *HEADER]
+        lines += [_row(m, row[m]) for m in ORDER if m in row]
     return "\n".join(lines) + "\n"
 
 

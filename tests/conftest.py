@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 
+import jaxtyping
 import pytest
 import torch
 from torch import Tensor
@@ -38,3 +39,11 @@ def spots(side: int = 48, seed: int = 0) -> Tensor:
     ring = torch.exp(-((radius - 5) ** 2) / 3) - 0.7 * torch.exp(-(radius**2) / 4)
     grain = 0.06 * (noise(1, side, side, seed=seed) - 0.5)
     return (0.4 + 0.55 * ring[None] + grain).clamp(0, 1)
+
+
+@pytest.fixture
+def unchecked() -> Iterator[None]:
+    """Shape checks off, as users have it: the test sees the error that they see."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)

@@ -130,7 +130,7 @@ def test_any_callable_is_a_feature_and_is_not_taken_for_linear() -> None:
         (lambda: Gradients(mu=float("nan")), "mu=nan"),
         (lambda: Wavelets("nope"), "nope"),
         (lambda: Wavelets("bior2.2"), "bior2.2"),
-        (lambda: Wavelets(levels=0), "levels=0 must be at least 1"),
+        (lambda: Wavelets(levels=0), "levels=0"),
         (lambda: Wavelets(weights=(1.0, 1.0)), "must be 3 numbers"),
         (lambda: Wavelets(weights=()), "must be 3 numbers"),
         (lambda: Wavelets(weights=(1.0, -1.0, 1.0)), "at least 0"),

@@ -53,11 +53,11 @@ class SoftConstraint:
             raise ValueError("confidence must be finite and at least 0 everywhere")
 
     def __call__(self, x: Float[Tensor, "c h w"]) -> Float[Tensor, ""]:
-        gap = x - self.target
-        return dot(self.confidence * gap, gap)
+        gap = x - self.target.to(x)
+        return dot(self.confidence.to(x) * gap, gap)
 
     def quadratic_bound(self, x: Float[Tensor, "c h w"]) -> Quadratic | None:
-        return diagonal(self.confidence[None], self.target)
+        return diagonal(self.confidence.to(x)[None], self.target.to(x))
 
     def at(self, height: int, width: int) -> "SoftConstraint":
         """The same constraint on an image of another size; free pixels do not bleed in."""
@@ -86,7 +86,7 @@ class Guide:
         1.0
     """
 
-    exemplars: Sequence[Float[Tensor, "g hz wz"]]
+    exemplars: Sequence[Float[Tensor, "g _ _"]]
     texture: Float[Tensor, "g h w"]
     weight: float = 1.0
 

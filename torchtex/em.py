@@ -52,10 +52,16 @@ def em(
     """Alternates M- and E-steps until no label changes, or `steps` times.
 
     The first M-step has no energy before it; the energies listed are those after each half-step.
-    With completeness=0 they never increase.
+    With completeness=0 and without soft constraints they never increase; with soft constraints
+    an M-step may raise them, since it also asks of a match that it agrees with the target.
+
+    Raises:
+        ValueError: fewer steps than one.
 
     Source: Kwatra et al. 2005, Algorithms 1 and 2.
     """
+    if steps < 1:
+        raise ValueError(f"steps={steps} must be at least 1")
     energies: list[float] = []
     current = None if labels is None else tuple(labels)
 

@@ -43,11 +43,11 @@ class Objective:
         return sum((weight * energy(x) for weight, energy in self.terms), x.new_zeros(()))
 
     def quadratic_bound(self, x: Float[Tensor, "c h w"]) -> Quadratic | None:
-        """Sum of the bounds of all terms; None when a term has none."""
+        """Sum of the bounds of all terms; None when a term has none, or a negative weight."""
         bounds = []
         for weight, energy in self.terms:
             bound = energy.quadratic_bound(x) if isinstance(energy, Bounded) else None
-            if bound is None:
+            if bound is None or weight < 0:  # a negative bound would lie below
                 return None
             bounds.append((weight, bound))
         return total(bounds)

@@ -57,6 +57,14 @@ class Descend:
     steps: int = 20
     rate: float | None = None
 
+    def __post_init__(self) -> None:
+        if self.optimizer not in ("lbfgs", "adam"):
+            raise ValueError(f'optimizer="{self.optimizer}" must be "lbfgs" or "adam"')
+        if self.steps < 1:
+            raise ValueError(f"steps={self.steps} must be at least 1")
+        if self.rate is not None and not self.rate > 0:
+            raise ValueError(f"rate={self.rate} must be above 0, or None")
+
     def __call__(self, objective: Objective, x: Float[Tensor, "c h w"]) -> Float[Tensor, "c h w"]:
         before = objective(x.detach())
         y = x.detach().clone().requires_grad_()

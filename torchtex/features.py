@@ -111,6 +111,8 @@ class Wavelets:
             raise ValueError(f'mode="{self.mode}" must be "stationary" or "window"')
         if not 1 <= self.levels <= 8:
             raise ValueError(f"levels={self.levels} must lie in 1..8")
+        if not self.detail >= 0:
+            raise ValueError(f"detail={self.detail} must be at least 0")
         if len(self.level_weights) != self.levels + 1 or min(self.level_weights) < 0:
             raise ValueError(
                 f"weights={self.weights} must be {self.levels + 1} numbers of at least 0: "

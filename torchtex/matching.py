@@ -7,6 +7,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 import torch
 from jaxtyping import Float, Int
+from numpy.typing import NDArray
 from torch import Tensor
 
 
@@ -96,12 +97,18 @@ class Clustered:
     probes: int = 8
     least: int = 5000
 
+    def __post_init__(self) -> None:
+        if self.clusters is not None and self.clusters < 1:
+            raise ValueError(f"clusters={self.clusters} must be at least 1, or None")
+        if self.probes < 1:
+            raise ValueError(f"probes={self.probes} must be at least 1")
+
     def fit(self, keys: Float[Tensor, "m d"]) -> "FaissIndex":
         m, d = keys.shape
         if m < self.least:
             return Exact().fit(keys)
         faiss = _faiss()
-        clusters = self.clusters or max(1, round(2 * m**0.5))
+        clusters = min(m, self.clusters or max(1, round(2 * m**0.5)))
         quantizer = faiss.IndexFlatL2(d)
         index = faiss.IndexIVFFlat(quantizer, d, clusters)
         index.cp.seed, index.cp.niter, index.cp.max_points_per_centroid = 1234, 6, 40
@@ -234,7 +241,7 @@ def _topk(scores: Tensor, k: int) -> tuple[Tensor, Tensor]:
     return best, labels
 
 
-def _array(x: Tensor) -> "np.ndarray[Any, Any]":
+def _array(x: Tensor) -> NDArray[np.float32]:
     return np.ascontiguousarray(x.detach().cpu().numpy(), dtype=np.float32)
 
 

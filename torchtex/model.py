@@ -275,8 +275,8 @@ def _merge(
     soft: Sequence[tuple[float, SoftConstraint]], x: Tensor
 ) -> tuple[Float[Tensor, "1 h w"], Float[Tensor, "c h w"]]:
     """Several soft constraints as one: their weights add up, their targets are averaged."""
-    held = sum((w * c.confidence for w, c in soft), x.new_zeros(x.shape[1:]))
-    target = sum((w * c.confidence * c.target for w, c in soft), torch.zeros_like(x))
+    held = sum((w * c.confidence.to(x) for w, c in soft), x.new_zeros(x.shape[1:]))
+    target = sum((w * c.confidence.to(x) * c.target.to(x) for w, c in soft), torch.zeros_like(x))
     return held[None], target / held.clamp(min=torch.finfo(x.dtype).tiny)
 
 

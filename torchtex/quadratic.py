@@ -68,7 +68,7 @@ def total(terms: list[tuple[float, Quadratic]]) -> Quadratic:
     weight = sum((c * q.weight for c, q in terms), torch.zeros_like(b))
     response = None
     if any(q.response is not None for _, q in terms):
-        shares = [c * float(q.weight.mean()) for c, q in terms]
+        shares = [c * float(q.weight.mean(-1).mean()) for c, q in terms]
         whole = sum(shares)
         one = b.new_ones(())
         parts = [

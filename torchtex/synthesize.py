@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchtex import image as images
-from torchtex.controls import Guide, Scaled
+from torchtex.controls import Guide, Scaled, SoftConstraint
 from torchtex.em import Fit, HalfStep, em
 from torchtex.energy import Energy
 from torchtex.estep import Auto, EStep
@@ -332,6 +332,10 @@ def synthesize(
     began = time.perf_counter()
     zs = [exemplars] if isinstance(exemplars, Tensor) else list(exemplars)
     height, width = _check(zs, size, boundary)
+    _check_steering(zs, controls, guides)
+    if not completeness >= 0:
+        raise ValueError(f"completeness={completeness} must be at least 0")
+    zs = [z.detach() for z in zs]
     keep = _masks(masks, zs)
     plan = _plan(zs, keep, height, width, tuple(schedule or default_schedule()))
     if init is not None:
@@ -390,7 +394,7 @@ def synthesize(
     weights = energy.site_weights(energy.distances(x))
     shapes = tuple((z.shape[1], z.shape[2]) for z in zs)
     field = LabelField(model.grid, model.space.positions[labels], weights, shapes)
-    if isinstance(feature, Pixels) and not controls and plan[-1].scale == 1:
+    if isinstance(feature, Pixels) and not controls:
         x = field.apply(zs)  # one more reweighted mean, so that `apply` gives the same bits
     settings = {
         "size": [height, width],
@@ -423,6 +427,10 @@ def _check(zs: Sequence[Tensor], size: tuple[int, int], boundary: str) -> tuple[
                 f"exemplar: one has {len(zs[0])} channels and another {len(z)}; "
                 "convert them to the same"
             )
+        if z.dtype not in (torch.float32, torch.float64) or z.dtype != zs[0].dtype:
+            raise TypeError(
+                f"exemplar: {z.dtype} beside {zs[0].dtype}; give all as float32 or all as float64"
+            )
     height, width = size
     if height < 1 or width < 1:
         raise ValueError(f"size={height}x{width} must be at least 1x1; give height x width")
@@ -436,6 +444,25 @@ def _check(zs: Sequence[Tensor], size: tuple[int, int], boundary: str) -> tuple[
             f"{have / 2**30:.1f} GiB are there; choose a smaller size"
         )
     return height, width
+
+
+def _check_steering(
+    zs: Sequence[Tensor], controls: Sequence[tuple[float, Energy]], guides: Sequence[Guide]
+) -> None:
+    for _, control in controls:
+        if isinstance(control, SoftConstraint) and len(control.target) != len(zs[0]):
+            raise ValueError(
+                f"target of a soft constraint has {len(control.target)} channels and exemplar "
+                f"{len(zs[0])}; give both the same"
+            )
+    shapes = [z.shape[1:] for z in zs]
+    for guide in guides:
+        if [z.shape[1:] for z in guide.exemplars] != shapes:
+            given = ", ".join(f"{z.shape[1]}x{z.shape[2]}" for z in guide.exemplars) or "none"
+            raise ValueError(
+                f"guide of the exemplars: {given} given for exemplars of "
+                f"{', '.join(f'{h}x{w}' for h, w in shapes)}; give one each, of the same size"
+            )
 
 
 def _memory() -> int | None:
@@ -475,6 +502,8 @@ def _plan(
     schedule: tuple[Level, ...],
 ) -> list[Level]:
     """The levels whose windows fit the texture and at least one exemplar with its mask."""
+    if schedule[-1].scale != 1:
+        raise ValueError(f"schedule ends with scale={schedule[-1].scale:g}; its last must be 1")
     plan = []
     for level in schedule:
         shapes = [(level.extent(z.shape[1]), level.extent(z.shape[2])) for z in zs]
@@ -482,12 +511,12 @@ def _plan(
         some = [_scaled_mask(mask, level) for mask in masks]
         if small >= level.size and len(label_space(shapes, level.size, some)):
             plan.append(level)
-    if not plan:
-        least = min(level.size / level.scale for level in schedule)
+    if not plan or plan[-1].scale != 1:
+        least = min(level.size for level in schedule if level.scale == 1)
         shapes_ = ", ".join(f"{z.shape[1]}x{z.shape[2]}" for z in zs)
         raise ValueError(
             f"exemplar of {shapes_} for size={height}x{width}: no window of the schedule fits "
-            f"(the smallest needs {least:g} unmasked pixels a side); "
+            f"at scale=1 (the smallest needs {least} unmasked pixels a side); "
             "give a larger exemplar, size or mask, or a schedule with smaller windows"
         )
     return plan

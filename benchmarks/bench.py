@@ -1,0 +1,237 @@
+"""Speed, memory and quality of the core, as JSON and a table.
+
+Sections: `mstep` (exact against fast search), `estep`, `runs` (whole syntheses: time, peak memory,
+energy), `features` (the battery per feature and exemplar), `growth` (time and memory against
+output pixels). Whole runs each have a process of their own, so that peak memory is theirs.
+"""
+
+import argparse
+import json
+import os
+import platform
+import resource
+import statistics
+import subprocess
+import sys
+import time
+from importlib.metadata import version
+from pathlib import Path
+
+import torch
+from exemplars import add_argument, crop, default_folder, load
+
+import torchtex
+from torchtex import metrics
+
+FEATURES = {
+    "pixels": torchtex.Pixels(),
+    "gradients": torchtex.Gradients(),
+    "haar": torchtex.Wavelets("haar"),
+    "db2": torchtex.Wavelets("db2"),
+    "db4": torchtex.Wavelets("db4"),
+}
+
+
+def timed(work, repeats):
+    """Median and spread of the seconds of a call, after one warm-up."""
+    work()
+    seconds = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        work()
+        seconds.append(time.perf_counter() - start)
+    return {
+        "median": statistics.median(seconds),
+        "least": min(seconds),
+        "most": max(seconds),
+    }
+
+
+def mstep(photos, repeats):
+    """One M-step, exact and fast, on the texture that a synthesis begins its finest level with."""
+    rows = []
+    for name, photo in list(photos.items())[:4]:
+        for extent, size in ((128, 32), (128, 16), (128, 8), (256, 8)):
+            z = crop(photo, extent)
+            if min(z.shape[1:]) < extent:
+                continue
+            grid = torchtex.Grid(2 * extent, 2 * extent, size, size // 4)
+            x = torchtex.synthesize(z, (2 * extent, 2 * extent)).texture
+            row = {"exemplar": name, "extent": extent, "window": size}
+            labels = None
+            for key, search in (
+                ("exact", torchtex.exact_search()),
+                ("fast", torchtex.fast_search()),
+            ):
+                model = torchtex.texture_model([z], grid, search=search)
+                labels = model.match(x) if labels is None else labels
+                first = labels
+
+                def step(model=model, x=x, first=first):
+                    return model.match(x, first)
+
+                row[key] = timed(step, repeats if extent == 128 else 1)
+            row["ratio"] = row["exact"]["median"] / row["fast"]["median"]
+            rows.append(row)
+            print(f"mstep {name} {extent} w={size}: fast is {row['ratio']:.1f}x", flush=True)
+    return rows
+
+
+def energies(photos):
+    """Whole runs with the exact and the fast search: final energy and M-step seconds."""
+    rows = []
+    for name, photo in photos.items():
+        z = crop(photo, 128)
+        row = {"exemplar": name}
+        for key, search in (("exact", torchtex.exact_search()), ("fast", torchtex.fast_search())):
+            result = torchtex.synthesize(z, (256, 256), search=search)
+            row[key] = {"energy": result.energies[-1], "seconds": result.seconds}
+        row["excess"] = row["fast"]["energy"] / row["exact"]["energy"] - 1
+        rows.append(row)
+        print(f"energy {name}: fast is {100 * row['excess']:+.2f} % of exact", flush=True)
+    return rows
+
+
+def estep(photos, repeats):
+    """One E-step per feature and solver."""
+    name, photo = next(iter(photos.items()))
+    z = crop(photo, 128)
+    x = torchtex.synthesize(z, (256, 256)).texture
+    grid = torchtex.Grid(256, 256, 8, 2)
+    rows = []
+    for key, feature in FEATURES.items():
+        model = torchtex.texture_model([z], grid, feature=feature)
+        objective = torchtex.Objective(((1.0, model.energy(model.match(x))),))
+        before = float(objective(x))
+        for solver in (torchtex.ClosedForm(), torchtex.Descend("lbfgs"), torchtex.Descend("adam")):
+            row = {"exemplar": name, "feature": key, "solver": repr(solver)}
+
+            def solve(solver=solver, objective=objective):
+                return solver(objective, x)
+
+            row["seconds"] = timed(solve, repeats)
+            row["energy"] = float(objective(solver(objective, x))) / before
+            rows.append(row)
+            print(f"estep {key} {repr(solver)[:18]} {row['seconds']['median']:.3f} s", flush=True)
+    return rows
+
+
+def features(photos, seeds):
+    """The battery of each feature on each exemplar, and of the algorithm of the paper."""
+    rows = []
+    for name, photo in photos.items():
+        z = crop(photo, 128)
+        for key, feature in FEATURES.items():
+            for seed in range(seeds):
+                result = torchtex.synthesize(z, (256, 256), feature=feature, seed=seed)
+                numbers = metrics.battery(result.texture, z)
+                rows.append(
+                    {
+                        "exemplar": name,
+                        "feature": key,
+                        "seed": seed,
+                        "seconds": result.seconds,
+                        "energy": result.energies[-1],
+                        "metrics": numbers,
+                    }
+                )
+        print(f"features {name}", flush=True)
+    return rows
+
+
+def whole(path, extent, size, threads):
+    """One synthesis in a process of its own: seconds, and peak memory in MiB."""
+    command = [sys.executable, __file__, "--child", path, str(extent), str(size), str(threads)]
+    out = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    return json.loads(out.splitlines()[-1])
+
+
+def child(path, extent, size, threads):
+    """The work of `whole`: the process's imports are done and measured before it begins."""
+    torch.set_num_threads(int(threads))
+    z = crop(load(Path(path)), int(extent))
+    torchtex.synthesize(z[:, :48, :48], (48, 48), steps=None)  # loads what is loaded lazily
+    idle = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    result = torchtex.synthesize(z, (int(size), int(size)))
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(json.dumps({"seconds": result.seconds, "peak_mib": peak, "idle_mib": idle}))
+
+
+def runs(folder, threads):
+    """128 -> 256, 256 -> 512 and 256 -> 1024 on every exemplar that is large enough."""
+    rows = []
+    for path in sorted(Path(folder).glob("*.png")):
+        shape = load(Path(path)).shape
+        cases = [(128, 256)] + ([(256, 512)] if min(shape[1:]) >= 256 else [])
+        for extent, size in cases:
+            row = {"exemplar": path.stem, "extent": extent, "size": size}
+            rows.append({**row, **whole(str(path), extent, size, threads)})
+            print(f"runs {path.stem} {extent} -> {size}: {rows[-1]['seconds']:.2f} s", flush=True)
+    return rows
+
+
+def growth(folder, threads):
+    """One exemplar of 256 px to 512, 1024 and 2048."""
+    large = [p for p in sorted(Path(folder).glob("*.png")) if _side(p) >= 256]
+    path = str((large or sorted(Path(folder).glob("*.png")))[0])
+    rows = []
+    for size in (512, 1024, 2048):
+        rows.append({"size": size, **whole(path, 256, size, threads)})
+        print(f"growth {size}: {rows[-1]}", flush=True)
+    return rows
+
+
+def _side(path):
+    return min(load(Path(path)).shape[1:])
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    add_argument(parser)
+    parser.add_argument("--out", default=Path(__file__).parent / "results", type=Path)
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--sections", default="mstep,energies,estep,runs,growth,features")
+    parser.add_argument("--child", nargs=4, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.child:
+        return child(*options.child)
+    torch.set_num_threads(options.threads)
+    folder = options.exemplars or default_folder()
+    photos = {path.stem: load(path) for path in sorted(Path(folder).glob("*.png"))}
+    sections = {
+        "mstep": lambda: mstep(photos, options.repeats),
+        "energies": lambda: energies(photos),
+        "estep": lambda: estep(photos, options.repeats),
+        "runs": lambda: runs(folder, options.threads),
+        "growth": lambda: growth(folder, options.threads),
+        "features": lambda: features(photos, options.seeds),
+    }
+    options.out.mkdir(parents=True, exist_ok=True)
+    file = options.out / "bench.json"
+    report = json.loads(file.read_text()) if file.exists() else {}
+    report["environment"] = {
+        "torchtex": torchtex.__version__,
+        "torch": torch.__version__,
+        "faiss": version("faiss-cpu"),
+        "python": platform.python_version(),
+        "cores": os.cpu_count(),
+        "threads": options.threads,
+        "device": "cpu",
+        "commit": _commit(),
+    }
+    for section in options.sections.split(","):
+        report[section] = sections[section]()
+        file.write_text(json.dumps(report, indent=1))
+    return None
+
+
+def _commit():
+    command = ["git", "rev-parse", "--short", "HEAD"]
+    found = subprocess.run(command, capture_output=True, text=True, check=False)
+    return found.stdout.strip() or "unknown"
+
+
+if __name__ == "__main__":
+    main()

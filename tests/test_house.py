@@ -1,0 +1,117 @@
+"""Rules of the house: which module may import which, what is public, docstrings that run."""
+
+import ast
+import doctest
+import importlib
+import inspect
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+import torchtex
+from torchtex import cli
+
+FOLDER = Path(torchtex.__file__).parent
+MODULES = sorted(file.stem for file in FOLDER.glob("*.py") if file.stem != "__init__")
+
+# a module may import only those of rows above its own
+FLOORS = (
+    ("image", "wavelets", "neighborhoods", "quadratic", "matching"),
+    ("data", "features", "metrics"),
+    ("energy",),
+    ("controls", "estep"),
+    ("model",),
+    ("labels", "em"),
+    ("synthesize",),
+    ("cli",),
+)
+FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}
+
+PUBLIC = {
+    "Auto", "Blocks", "Chunked", "ClosedForm", "Clustered", "Descend", "Exact", "Gradients",
+    "Grid", "Guide", "HalfStep", "LabelField", "Level", "Objective", "Pixels", "Progress",
+    "RandomNeighborhoods", "Result", "Search", "SoftConstraint", "Stack", "TextureEnergy",
+    "TextureModel", "Wavelets", "data", "default_schedule", "em", "exact_search", "fast_search",
+    "image", "metrics", "synthesize", "texture_model", "wavelets",
+}  # fmt: skip
+
+
+def imports(source: str) -> Iterator[str]:
+    """Names of the torchtex modules that the source imports, anywhere in it."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            module = node.module or ""
+            if node.level:
+                module = f"torchtex.{module}" if module else "torchtex"
+            names = [f"{module}.{alias.name}" for alias in node.names]
+        else:
+            continue
+        for name in names:
+            parts = name.split(".")
+            if parts[0] == "torchtex":
+                yield parts[1] if len(parts) > 1 else ""
+
+
+def test_imports_are_found_at_any_depth() -> None:
+    source = "def f():\n    from torchtex.em import Fit\nimport torchtex.cli\nfrom . import data\n"
+    assert set(imports(source)) == {"em", "cli", "data"}
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_no_module_imports_one_of_its_own_floor_or_above(name: str) -> None:
+    assert name in FLOOR, f"give {name} its place in FLOORS"
+    found = set(imports((FOLDER / f"{name}.py").read_text(encoding="utf-8")))
+    if name != "cli":  # the top may ask the package for its version
+        assert "" not in found, f"{name} imports the package, and so every floor"
+    above = {other for other in found if other and FLOOR.get(other, 99) >= FLOOR[name]}
+    assert not above, f"{name} is on floor {FLOOR[name]} and imports {above}"
+
+
+def test_public_names_are_those_recorded_here() -> None:
+    assert set(torchtex.__all__) == PUBLIC | {"__version__"} & set(torchtex.__all__)
+    for name in PUBLIC:
+        assert getattr(torchtex, name) is not None
+
+
+def members(module: Any) -> Iterator[tuple[str, Any]]:
+    for name, thing in vars(module).items():
+        ours = getattr(thing, "__module__", None) == module.__name__
+        if ours and not name.startswith("_") and (inspect.isclass(thing) or callable(thing)):
+            yield name, thing
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_everything_public_says_what_it_is(name: str) -> None:
+    module = importlib.import_module(f"torchtex.{name}")
+    assert module.__doc__
+    for label, thing in members(module):
+        doc = inspect.getdoc(thing) or ""
+        generated = inspect.isclass(thing) and doc.startswith(f"{label}(")  # by dataclass
+        assert doc, f"{name}.{label} has no docstring"
+        assert not generated, f"{name}.{label} has no docstring of its own"
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_examples_in_docstrings_run(name: str) -> None:
+    module = importlib.import_module(f"torchtex.{name}")
+    names = {"torch": torch, "np": np, "torchtex": torchtex, **vars(module)}
+    torch.manual_seed(0)
+    for test in doctest.DocTestFinder(exclude_empty=True).find(module, name, globs=names):
+        runner = doctest.DocTestRunner(
+            optionflags=doctest.NORMALIZE_WHITESPACE | doctest.IGNORE_EXCEPTION_DETAIL
+        )
+        runner.run(test)
+        assert runner.summarize(verbose=False).failed == 0, test.name
+
+
+def test_extras_that_info_lists_are_those_of_the_package() -> None:
+    text = (FOLDER.parent / "pyproject.toml").read_text(encoding="utf-8")
+    section = text.split("[project.optional-dependencies]")[1].split("\n[")[0]
+    found = {line.split(" = ")[0] for line in section.splitlines() if " = " in line}
+    assert found - {"dev"} == set(cli.EXTRAS)
