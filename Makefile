@@ -29,13 +29,13 @@ test-slow: $(VENV)/installed-dev  ## Run the slow tests
 	$(BIN)/python -m pytest $(CHECKS) -m slow
 
 lint: $(VENV)/installed-dev  ## Check format, style and types
-	$(BIN)/ruff format --check .
-	$(BIN)/ruff check .
-	$(BIN)/mypy
+	$(BIN)/python -m ruff format --check .
+	$(BIN)/python -m ruff check .
+	$(BIN)/python -m mypy
 
 format: $(VENV)/installed-dev  ## Format the code and repair what ruff can
-	$(BIN)/ruff format .
-	$(BIN)/ruff check --fix .
+	$(BIN)/python -m ruff format .
+	$(BIN)/python -m ruff check --fix .
 
 bench: $(VENV)/installed-dev  ## Measure torchtex; see benchmarks/
 	$(BIN)/python benchmarks/bench.py

@@ -150,7 +150,7 @@ def child(path, extent, size, threads):
     """The work of `whole`: the process's imports are done and measured before it begins."""
     torch.set_num_threads(int(threads))
     z = crop(load(Path(path)), int(extent))
-    torchtex.synthesize(z[:, :48, :48], (48, 48), steps=None)  # loads what is loaded lazily
+    torchtex.synthesize(z[:, :48, :48], (48, 48))  # loads what is loaded lazily
     idle = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     result = torchtex.synthesize(z, (int(size), int(size)))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

@@ -1,6 +1,10 @@
 """Shared by all tests: one thread, and small made-up images."""
 
+import os
 from collections.abc import Iterator
+
+# read when torch is loaded: idle threads sleep, so two threads are quick even on busy cores
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 import jaxtyping
 import pytest

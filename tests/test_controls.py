@@ -83,7 +83,10 @@ def test_a_guide_is_scaled_with_its_exemplars() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: SoftConstraint(noise(1, 4, 4), noise(4, 5)), "confidence is 4x5 and target is 4x4"),
+        (
+            lambda: SoftConstraint(noise(1, 4, 4), noise(4, 5)),
+            "confidence is 4x5 and target is 4x4",
+        ),
         (lambda: SoftConstraint(noise(1, 4, 4), -noise(4, 4)), "at least 0"),
         (lambda: SoftConstraint(noise(1, 4, 4), noise(4, 4) / 0), "finite"),
         (lambda: SoftConstraint(noise(1, 4, 4) / 0, noise(4, 4)), "target holds"),

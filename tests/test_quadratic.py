@@ -1,6 +1,7 @@
 """Quadratics: minima equal a dense solve, conjugate gradients restore low frequencies."""
 
 import doctest
+from itertools import pairwise
 
 import pytest
 import torch
@@ -118,7 +119,7 @@ def test_more_steps_never_raise_the_quadratic() -> None:
     q = energy_of(Gradients()).quadratic_bound(x)
     assert q is not None
     values = [float(q(minimise(q, x, steps=steps, tolerance=0.0))) for steps in range(0, 30, 3)]
-    assert all(b <= a * (1 + 1e-12) + 1e-12 for a, b in zip(values, values[1:], strict=False))
+    assert all(b <= a * (1 + 1e-12) + 1e-12 for a, b in pairwise(values))
 
 
 def test_the_examples_run() -> None:

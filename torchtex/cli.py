@@ -395,6 +395,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _guarded(command: Any, arguments: Sequence[str]) -> int:
     try:
         code = command.main(list(arguments), prog_name="torchtex", standalone_mode=False)
+        if _Interrupts.seen:  # some versions of typer return a code instead of raising
+            return _interrupted()
         return code if isinstance(code, int) else 0
     except (KeyboardInterrupt, typer.Abort):
         return _interrupted()
@@ -489,6 +491,8 @@ def _run(
         "files": {name: _sha256(path) for name, path in files.items() if path.is_file()},
     }
     inputs = _load(recipe, device)
+    if _Interrupts.seen:  # and swallowed by an import, say
+        raise KeyboardInterrupt
     with _progress(quiet) as watch:
         try:
             result = synthesize(

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchtex.energy import Objective
-from torchtex.quadratic import minimise
+from torchtex.quadratic import minimise, threads
 
 
 @runtime_checkable
@@ -76,13 +76,16 @@ class Descend:
         else:
             optimizer = torch.optim.Adam([y], lr=self.rate or 0.02)
 
+        many = torch.get_num_threads()
+
         def closure() -> float:
             optimizer.zero_grad()
-            value = objective(y)
-            value.backward()
+            with threads(many):
+                value = objective(y)
+                value.backward()
             return float(value.detach())
 
-        with torch.enable_grad():
+        with torch.enable_grad(), threads(1):  # the optimizer's sums depend on their number
             for _ in range(1 if self.optimizer == "lbfgs" else self.steps):
                 optimizer.step(closure)
         y = y.detach()

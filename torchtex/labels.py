@@ -1,8 +1,10 @@
 """The label field: where every window of a texture came from, and how to render from it."""
 
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 import torch
@@ -122,13 +124,24 @@ class LabelField:
             ValueError: no such file, or another kind of file.
         """
         try:
-            with np.load(path, allow_pickle=False) as file:
+            with open(path, "rb") as raw, np.load(raw, allow_pickle=False) as file:
                 height, width, size, stride, periodic = (int(v) for v in file["grid"])
                 grid = Grid(height, width, size, stride, bool(periodic))
                 shapes = tuple((int(h), int(w)) for h, w in file["shapes"])
                 positions = torch.from_numpy(file["positions"].astype(np.int64))
                 weights = torch.from_numpy(file["weights"])
-        except (OSError, KeyError, ValueError, TypeError, AttributeError, EOFError) as error:
+            if positions.shape != (len(grid), 3) or weights.shape != (len(grid),):
+                raise ValueError("its labels do not fit its grid")
+        except (
+            OSError,
+            KeyError,
+            ValueError,
+            TypeError,
+            AttributeError,
+            EOFError,
+            BadZipFile,
+            zlib.error,
+        ) as error:
             raise ValueError(
                 f"labels={path} is not a label file ({error}); "
                 "give an .npz written with --labels or LabelField.save"

@@ -10,6 +10,8 @@ from jaxtyping import Float, Int
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchtex.quadratic import threads
+
 
 @runtime_checkable
 class Index(Protocol):
@@ -220,10 +222,15 @@ def principal_axes(
     d = sample.shape[1]
     centred = sample - sample.mean(0)
     start = torch.randn(d, min(count, d), generator=generator, dtype=torch.float64)
-    axes = torch.linalg.qr(start.to(sample))[0]
+    axes = _orthonormal(start.to(sample))
     for _ in range(4):
-        axes = torch.linalg.qr(centred.T @ (centred @ axes))[0]
+        axes = _orthonormal(centred.T @ (centred @ axes))
     return axes
+
+
+def _orthonormal(x: Tensor) -> Tensor:
+    with threads(1):  # LAPACK's QR gives other bits with more
+        return torch.linalg.qr(x)[0]
 
 
 def _distances(queries: Tensor, keys: Tensor, norms: Tensor, chunk: int) -> Iterator[Tensor]:

@@ -70,7 +70,7 @@ class LabelSpace:
     """
 
     positions: Int[Tensor, "m 3"]
-    tables: tuple[Int[Tensor, "hz wz"], ...]
+    tables: tuple[Int[Tensor, "_ _"], ...]
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -90,7 +90,7 @@ class LabelSpace:
 def label_space(
     shapes: Sequence[tuple[int, int]],
     size: int,
-    masks: Sequence[Bool[Tensor, "hz wz"] | None] | None = None,
+    masks: Sequence[Bool[Tensor, "_ _"] | None] | None = None,
 ) -> LabelSpace:
     """Labels of every window of `size` pixels that lies inside an exemplar and its mask.
 

@@ -1,6 +1,7 @@
 """Quadratic functions of an image, and their minimum."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import torch
@@ -11,6 +12,17 @@ from torch import Tensor
 def dot(a: Float[Tensor, "c h w"], b: Float[Tensor, "c h w"]) -> Float[Tensor, ""]:
     """Inner product, summed row by row so that its bits do not depend on the thread count."""
     return (a * b).sum(-1).sum()
+
+
+@contextmanager
+def threads(count: int) -> Iterator[None]:
+    """That many threads inside; one where a routine's bits would depend on their number."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 @dataclass(frozen=True)
@@ -93,14 +105,14 @@ def minimise(
     converge last and the result fades to grey.
 
     Args:
-        tolerance: stops when the residual falls below this share of |b|.
+        tolerance: stops when the residual falls below this share of b, both over the weights.
         steps: most CG steps.
     """
     floor = torch.finfo(x.dtype).tiny
     if quadratic.response is None:
         held = quadratic.weight > floor
         return torch.where(held, quadratic.b / quadratic.weight.clamp(min=floor), x)
-    response = quadratic.response.clamp(min=1e-6 * float(quadratic.response.max()))
+    response = quadratic.response.clamp(min=1e-4 * float(quadratic.response.max()))
     size = (x.shape[1], x.shape[2])
     scale = quadratic.weight.clamp(min=1e-6 * float(quadratic.weight.max())).rsqrt()
 
@@ -109,11 +121,14 @@ def minimise(
         return scale * torch.fft.irfft2(spectrum, s=size)
 
     residual = quadratic.b - quadratic.apply(x)
-    enough = tolerance**2 * dot(quadratic.b, quadratic.b)
+    # in units of colour: a heavy control must not hide what is wrong beside it
+    wanted = quadratic.b * scale.square()
+    enough = tolerance**2 * dot(wanted, wanted)
     z = precondition(residual)
     direction, gain = z, dot(residual, z)
     for _ in range(steps):
-        if dot(residual, residual) <= enough:
+        error = residual * scale.square()
+        if dot(error, error) <= enough:
             break
         image = quadratic.apply(direction)
         step = gain / dot(direction, image)
