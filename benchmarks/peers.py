@@ -106,11 +106,20 @@ def torchtex(exemplar: np.ndarray, height: int, width: int, seed: int) -> Call:
 
 
 def paper(exemplar: np.ndarray, height: int, width: int, seed: int) -> Call:
-    """Our own synthesis set as in Kwatra et al. 2005: plain matching, random neighborhoods."""
-    from torchtex import RandomNeighborhoods
+    """Our own synthesis set as in Kwatra et al. 2005.
 
-    start = RandomNeighborhoods()
-    return _torchtex(exemplar, height, width, seed, completeness=0.0, start=start)
+    Nearest neighborhoods, a start from random ones, enlarged pixels between scales, 1/4 with 8
+    first.
+    """
+    from torchtex import RandomNeighborhoods, default_schedule
+
+    options = {
+        "completeness": 0.0,
+        "start": RandomNeighborhoods(),
+        "carry": False,
+        "schedule": default_schedule()[1:],
+    }
+    return _torchtex(exemplar, height, width, seed, **options)
 
 
 def _torchtex(exemplar: np.ndarray, height: int, width: int, seed: int, **options: Any) -> Call:
@@ -118,7 +127,7 @@ def _torchtex(exemplar: np.ndarray, height: int, width: int, seed: int, **option
 
     from torchtex import synthesize
 
-    torch.set_num_threads(int(os.environ["OMP_NUM_THREADS"]))
+    torch.set_num_threads(int(os.environ.get("OMP_NUM_THREADS", "1")))
     image = torch.from_numpy(exemplar).permute(2, 0, 1).float() / 255
 
     def make(image: torch.Tensor, size: tuple[int, int]) -> np.ndarray:

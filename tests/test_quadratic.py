@@ -60,6 +60,21 @@ def test_minimum_of_a_sum_equals_a_dense_solve() -> None:
     torch.testing.assert_close(minimise(q, x, tolerance=1e-12), solved, rtol=1e-7, atol=1e-8)
 
 
+@pytest.mark.parametrize(
+    "feature", [Gradients(), Wavelets("db2"), Wavelets(mode="window")], ids=repr
+)
+def test_a_heavy_control_does_not_stop_the_search_beside_it(feature: Feature) -> None:
+    x = noise(2, 10, 11, seed=5)
+    held = torch.zeros(10, 11, dtype=torch.float64)
+    held[:, :5] = 1e5
+    pull = SoftConstraint(noise(2, 10, 11, seed=6), held)
+    q = Objective(((1.0, energy_of(feature)), (1.0, pull))).quadratic_bound(x)
+    assert q is not None
+    a, b = dense(q, x)
+    solved = torch.linalg.solve(a, b).view(x.shape)
+    assert (minimise(q, x, tolerance=1e-4, steps=100) - solved).abs().max() < 0.01
+
+
 def test_a_pixel_that_nothing_holds_keeps_its_colour() -> None:
     x = noise(1, 4, 4)
     weight = torch.ones(1, 4, 4, dtype=torch.float64)

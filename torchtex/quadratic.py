@@ -131,7 +131,10 @@ def minimise(
         if dot(error, error) <= enough:
             break
         image = quadratic.apply(direction)
-        step = gain / dot(direction, image)
+        curvature = dot(direction, image)
+        if not bool(curvature > 0):  # what is left is rounding
+            break
+        step = gain / curvature
         x = x + step * direction
         residual = residual - step * image
         z = precondition(residual)

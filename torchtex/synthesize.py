@@ -294,6 +294,7 @@ def synthesize(
     init: Float[Tensor, "c _ _"] | None = None,
     schedule: Sequence[Level] | None = None,
     boundary: Literal["free", "periodic"] = "free",
+    carry: bool = True,
     search: Search | None = None,
     estep: EStep | None = None,
     controls: Sequence[tuple[float, Energy]] = (),
@@ -315,6 +316,8 @@ def synthesize(
         init: an image to start from instead; resized to the coarsest level.
         schedule: levels; those whose windows fit neither exemplar nor texture are left out.
         boundary: "periodic" makes a texture that tiles.
+        carry: begin each scale with the exemplar rendered from the labels of the last; False
+            enlarges the pixels, as the paper does.
         search: of the M-step; `fast_search()` unless given.
         estep: `Auto()` unless given.
         controls: (weight, energy) pairs; any function of the image is an energy. One with a
@@ -370,7 +373,10 @@ def synthesize(
         elif tuple(x.shape[1:]) != (grid.height, grid.width):
             assert model is not None
             assert fit is not None
-            x = _carried(model, fit, x, smaller, some, grid)
+            if carry:
+                x = _carried(model, fit, x, smaller, some, grid)
+            else:
+                x = resize(x, (grid.height, grid.width))
         model = texture_model(
             smaller,
             grid,
@@ -407,6 +413,7 @@ def synthesize(
         "completeness": completeness,
         "start": repr(start or Blocks()) if init is None else "init",
         "boundary": boundary,
+        "carry": carry,
         "search": repr(search),
     }
     elapsed = time.perf_counter() - began
