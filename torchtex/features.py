@@ -78,7 +78,7 @@ class Wavelets:
     "stationary": the undecimated transform of the whole image. A coefficient near the border of
     a window sees pixels beyond it, so this differs from the pixel distance.
     "window": the decimated transform of each window. It is orthonormal, so with equal weights
-    and without fall-off it is the pixel distance under another name; it differs by its weights.
+    it is the pixel distance under another name, fall-off included; it differs by its weights.
 
     Args:
         wavelet: "haar", "db2" ... "db8", or another orthogonal wavelet of PyWavelets.
