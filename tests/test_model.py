@@ -102,7 +102,7 @@ def test_coherent_candidates_are_the_shifted_labels_of_the_neighbors(periodic: b
     model = texture_model([noise(1, space_side, space_side)], grid, search=fast_search())
     start = torch.tensor([12, 9])
     labels = identity(model.space, grid.sites + start)
-    found = model._coherent(labels, slice(0, len(grid)), labels).view(*grid.shape, 4)
+    found = model._coherent(labels).view(*grid.shape, 4)
     inner = found[1:-1, 1:-1]
     expected = labels.view(grid.shape)[1:-1, 1:-1, None].expand_as(inner)
     assert torch.equal(inner, expected)

@@ -163,19 +163,20 @@ class TextureEnergy:
         """(1, h, w): sum of site weight times fall-off over the windows that hold a pixel."""
         grid = self.windows.grid
         profile = falloff(grid.size).to(x).flatten()
-        cover = x.new_zeros(1, *x.shape[1:])
+        cover = grid.zeros(x, 1)
         for band, some in self._site_slices():
-            cover += grid.scatter(sites[some, None] * profile, band)
+            grid.scatter(sites[some, None] * profile, band, out=cover)
         return cover
 
     def _pixel_part(self, x: Tensor, sites: Tensor) -> Quadratic:
         """Closed form: every pixel is a weighted mean of the matched pixels."""
         grid, c = self.windows.grid, x.shape[0]
         root = falloff(grid.size).sqrt().to(x).flatten()
-        b = torch.zeros_like(x)
+        b = grid.zeros(x, c)
         for band, some in self._site_slices():
             target = self.targets(band).view(-1, grid.size**2, self._width(c))[:, :, :c]
-            b += grid.scatter((target * (sites[some, None, None] * root[:, None])).flatten(1), band)
+            pulled = target * (sites[some, None, None] * root[:, None])
+            grid.scatter(pulled.flatten(1), band, out=b)
         weight = self._coverage(x, sites)
         return Quadratic(lambda y: weight * y, b, x.new_zeros(()), weight.expand_as(x))
 

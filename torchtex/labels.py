@@ -87,16 +87,15 @@ class LabelField:
         grid, size = self.grid, self.grid.size
         profile = falloff(size).to(images[0]).flatten()
         table = strips(images, LabelSpace(self.positions, ()), size)
-        sums = images[0].new_zeros(len(images[0]), grid.height, grid.width)
-        cover = sums.new_zeros(1, grid.height, grid.width)
+        sums, cover = grid.zeros(images[0], len(images[0])), grid.zeros(images[0], 1)
         nx = grid.shape[1]
         every = torch.arange(len(self.positions), device=self.positions.device)
         for band in grid.bands(max(64, 2**20 // size**2)):
             some = every[band.start * nx : band.stop * nx]
             weights = self.weights[some].to(sums)[:, None] * profile
             patches = table.patches(some).view(len(some), size * size, -1)
-            sums += grid.scatter((patches * weights[..., None]).flatten(1), band)
-            cover += grid.scatter(weights, band)
+            grid.scatter((patches * weights[..., None]).flatten(1), band, out=sums)
+            grid.scatter(weights, band, out=cover)
         return sums / cover
 
     def save(self, path: str | Path) -> None:

@@ -198,7 +198,7 @@ def complete_search(
         >>> complete_search(torch.rand(9, 2), torch.rand(5, 2), 1, alpha=0.1)[1].shape
         torch.Size([9, 1])
     """
-    chunk = max(16, min(chunk, 2**26 // len(keys)))  # bounds the memory of large exemplars
+    chunk = max(16, min(chunk, 2**21 // len(keys)))  # distances that stay in the cache
     norms = keys.square().sum(1)
     used = queries.new_full((len(keys),), float("inf"))
     for squared in _distances(queries, keys, norms, chunk):

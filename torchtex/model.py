@@ -180,6 +180,9 @@ class TextureModel:
         if pull is not None:
             confidence, target = pull
             blended = self.windows.channels((x + confidence * target) / (1 + confidence))
+        coherent = None
+        if labels is not None and self.search.coherence:
+            coherent = self._coherent(labels)
         nx = self.grid.shape[1]
         found = []
         for band in self.windows.bands:
@@ -190,10 +193,9 @@ class TextureModel:
                 more = self._candidates(self.windows.vectors(blended, band))
                 candidates = torch.cat([candidates, more], 1)
             if labels is not None:
-                old = labels[some]
-                if self.search.coherence:
-                    candidates = torch.cat([self._coherent(labels, some, old), candidates], 1)
-                candidates = torch.cat([old[:, None], candidates], 1)
+                if coherent is not None:
+                    candidates = torch.cat([coherent[some], candidates], 1)
+                candidates = torch.cat([labels[some, None], candidates], 1)
             found.append(self._nearest(queries, candidates, pull, band))
         return torch.cat(found)
 
@@ -210,14 +212,15 @@ class TextureModel:
         )
         return complete_search(queries, self.keys, 1, alpha=1 / self.completeness)[1][:, 0]
 
-    def _coherent(self, labels: Tensor, some: slice, old: Tensor) -> Tensor:
+    def _coherent(self, labels: Tensor) -> Tensor:
+        """The labels of the four neighbors, shifted; its own where that leaves the exemplar."""
         ny, nx = self.grid.shape
         sites = self.grid.sites
         place = torch.arange(ny * nx).view(ny, nx)
         out = []
         for dim, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
-            near = place.roll(step, dim).flatten()[some]
-            shift = sites[some] - sites[near]
+            near = place.roll(step, dim).flatten()
+            shift = sites - sites[near]
             if self.grid.periodic:
                 for axis, extent in ((0, self.grid.height), (1, self.grid.width)):
                     half = extent // 2
@@ -225,7 +228,7 @@ class TextureModel:
             moved = self.space.positions[labels[near]].clone()
             moved[:, 1:] += shift
             label = self.space.at(moved)
-            out.append(torch.where(label < 0, old, label))
+            out.append(torch.where(label < 0, labels, label))
         return torch.stack(out, 1)
 
     def _nearest(

@@ -105,15 +105,26 @@ class Grid:
         k = image.shape[0]
         rows = _spans(self.rows[band], self.size, self.height).to(image.device)
         cols = _spans(self.cols, self.size, self.width).to(image.device)
-        strips = image.permute(1, 2, 0)[:, cols.flatten()]  # h, nx * size, k
-        strips = strips.reshape(self.height, len(cols), self.size * k)
+        first, last = int(rows.min()), int(rows.max()) + 1
+        rows = rows - first
+        strips = image[:, first:last].permute(1, 2, 0)[:, cols.flatten()]  # rows, nx * size, k
+        strips = strips.reshape(last - first, len(cols), self.size * k)
         windows = strips[rows.flatten()].view(len(rows), self.size, len(cols), self.size * k)
         return windows.transpose(1, 2).reshape(-1, self.size * self.size * k)
 
     def scatter(
-        self, patches: Float[Tensor, "n d"], band: slice = slice(None)
+        self,
+        patches: Float[Tensor, "n d"],
+        band: slice = slice(None),
+        *,
+        out: Float[Tensor, "k h w"] | None = None,
     ) -> Float[Tensor, "k h w"]:
-        """Sum of the windows laid back in place: the adjoint of `gather`."""
+        """Sum of the windows laid back in place: the adjoint of `gather`.
+
+        Args:
+            patches: windows of the site rows of `band`.
+            out: an image to add to in place; zeros unless given.
+        """
         rows, cols = self.rows[band], self.cols
         k = patches.shape[1] // self.size**2
         windows = patches.view(len(rows), len(cols), self.size, self.size, k)
@@ -122,11 +133,15 @@ class Grid:
         col_spans = _spans(cols, self.size, self.width).to(patches.device)
         for offset in range(self.size):
             wide.index_add_(1, col_spans[:, offset], windows[:, :, :, offset])
-        image = patches.new_zeros(self.height, self.width, k)
+        image = self.zeros(patches, k) if out is None else out
         row_spans = _spans(rows, self.size, self.height).to(patches.device)
         for offset in range(self.size):
-            image.index_add_(0, row_spans[:, offset], wide[:, :, offset])
-        return image.permute(2, 0, 1)
+            image.permute(1, 2, 0).index_add_(0, row_spans[:, offset], wide[:, :, offset])
+        return image
+
+    def zeros(self, like: Float[Tensor, "..."], k: int) -> Float[Tensor, "k h w"]:
+        """A black image in the memory order that `scatter` adds to fastest."""
+        return like.new_zeros(self.height, self.width, k).permute(2, 0, 1)
 
 
 def _spans(starts: Tensor, size: int, extent: int) -> Tensor:

@@ -31,7 +31,10 @@ from torchtex.model import (
 from torchtex.neighborhoods import Grid
 
 COMPLETE_SCALE = 0.5
-"""Levels up to this scale are complete: beyond it the full distance matrix is large."""
+"""Levels up to this scale are complete; finer ones inherit what they chose."""
+
+COMPLETE_PAIRS = 2**26
+"""Levels with more pairs of window and exemplar neighborhood than this are not complete."""
 
 
 @dataclass(frozen=True)
@@ -383,7 +386,7 @@ def synthesize(
             feature=feature,
             search=search,
             r=r,
-            completeness=completeness if level.scale <= COMPLETE_SCALE else 0.0,
+            completeness=completeness if _complete(level, grid, smaller) else 0.0,
             masks=some,
             guides=[g.at(level.scale, grid.height, grid.width) for g in guides],
             generator=generator,
@@ -531,6 +534,14 @@ def _plan(
             "give a larger exemplar, size or mask, or a schedule with smaller windows"
         )
     return plan
+
+
+def _complete(level: Level, grid: Grid, exemplars: Sequence[Tensor]) -> bool:
+    """Whether the full distance matrix of a level is small enough to be worth it."""
+    keys = sum(
+        max(0, z.shape[1] - level.size + 1) * max(0, z.shape[2] - level.size + 1) for z in exemplars
+    )
+    return level.scale <= COMPLETE_SCALE and len(grid) * keys <= COMPLETE_PAIRS
 
 
 def _scaled(z: Tensor, level: Level) -> Tensor:
