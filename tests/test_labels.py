@@ -176,3 +176,13 @@ def test_wrong_maps_say_what_is_wrong(maps: Callable[[], Tensor], message: str) 
 
 def test_the_examples_run() -> None:
     assert doctest.testmod(labels_module).failed == 0
+
+
+@pytest.mark.parametrize("position", [[1, 0, 0], [0, 9, 0], [0, 0, -1]])
+def test_a_label_file_that_leaves_its_exemplar_is_refused(
+    tmp_path: Path, position: list[int]
+) -> None:
+    field = LabelField(Grid(8, 8, 8, 8), torch.tensor([position]), torch.ones(1), ((16, 16),))
+    field.save(tmp_path / "labels.npz")
+    with pytest.raises(ValueError, match=r"labels=.*exemplar"):
+        LabelField.load(tmp_path / "labels.npz")

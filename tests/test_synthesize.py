@@ -199,8 +199,11 @@ def test_blocks_are_verbatim() -> None:
 
 
 def test_levels_that_do_not_fit_are_left_out() -> None:
-    sizes = [trace.level.size for trace in synthesize(stripes(20, 40), (40, 40)).traces]
-    assert sizes == [8, 16, 8]
+    z = stripes(20, 40)
+    every = synthesize(z, (40, 40), schedule=default_schedule()).traces
+    assert [trace.level.size for trace in every] == [8, 16, 8]
+    roomy = synthesize(z, (40, 40)).traces  # windows larger than half the exemplar are left out
+    assert [trace.level.size for trace in roomy] == [8]
     small = synthesize(stripes(40, 40), (9, 40)).traces
     assert [trace.level.size for trace in small] == [8]
 

@@ -385,6 +385,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         Traceback (most recent call last):
         SystemExit: 0
     """
+    # before torch is loaded: threads that wait in a loop take the time of those that work
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     given = list(sys.argv[1:] if arguments is None else arguments)
     command = typer.main.get_command(app)
     with _watching_interrupts():

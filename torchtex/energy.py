@@ -166,7 +166,7 @@ class TextureEnergy:
         cover = grid.zeros(x, 1)
         for band, some in self._site_slices():
             grid.scatter(sites[some, None] * profile, band, out=cover)
-        return cover
+        return cover.contiguous()
 
     def _pixel_part(self, x: Tensor, sites: Tensor) -> Quadratic:
         """Closed form: every pixel is a weighted mean of the matched pixels."""
@@ -178,7 +178,7 @@ class TextureEnergy:
             pulled = target * (sites[some, None, None] * root[:, None])
             grid.scatter(pulled.flatten(1), band, out=b)
         weight = self._coverage(x, sites)
-        return Quadratic(lambda y: weight * y, b, x.new_zeros(()), weight.expand_as(x))
+        return Quadratic(lambda y: weight * y, b.contiguous(), x.new_zeros(()), weight.expand_as(x))
 
     def _width(self, k: int) -> int:
         return k if self.windows.guide is None else k + self.windows.guide.shape[0]

@@ -67,7 +67,7 @@ class Descend:
 
     def __call__(self, objective: Objective, x: Float[Tensor, "c h w"]) -> Float[Tensor, "c h w"]:
         before = objective(x.detach())
-        y = x.detach().clone().requires_grad_()
+        y = x.detach().clone(memory_format=torch.contiguous_format).requires_grad_()
         optimizer: torch.optim.Optimizer
         if self.optimizer == "lbfgs":
             optimizer = torch.optim.LBFGS(

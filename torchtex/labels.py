@@ -96,7 +96,7 @@ class LabelField:
             patches = table.patches(some).view(len(some), size * size, -1)
             grid.scatter((patches * weights[..., None]).flatten(1), band, out=sums)
             grid.scatter(weights, band, out=cover)
-        return sums / cover
+        return (sums / cover).contiguous()
 
     def save(self, path: str | Path) -> None:
         """Writes an .npz file.
@@ -131,6 +131,12 @@ class LabelField:
                 weights = torch.from_numpy(file["weights"])
             if positions.shape != (len(grid), 3) or weights.shape != (len(grid),):
                 raise ValueError("its labels do not fit its grid")
+            which = positions[:, 0]
+            if int(which.min()) < 0 or int(which.max()) >= len(shapes):
+                raise ValueError("it names an exemplar that it does not have")
+            room = torch.tensor(shapes)[which] - size
+            if bool((positions[:, 1:] < 0).any()) or bool((positions[:, 1:] > room).any()):
+                raise ValueError("its labels leave the exemplar")
         except (
             OSError,
             KeyError,

@@ -137,7 +137,7 @@ class Grid:
         row_spans = _spans(rows, self.size, self.height).to(patches.device)
         for offset in range(self.size):
             image.permute(1, 2, 0).index_add_(0, row_spans[:, offset], wide[:, :, offset])
-        return image
+        return image.contiguous() if out is None else out
 
     def zeros(self, like: Float[Tensor, "..."], k: int) -> Float[Tensor, "k h w"]:
         """A black image in the memory order that `scatter` adds to fastest."""

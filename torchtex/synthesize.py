@@ -317,7 +317,8 @@ def synthesize(
             are preferred; 0 for plain nearest neighborhoods, as in the paper.
         start: first pixels; `Blocks()` unless given.
         init: an image to start from instead; resized to the coarsest level.
-        schedule: levels; those whose windows fit neither exemplar nor texture are left out.
+        schedule: levels; those whose windows do not fit are left out. `default_schedule()`
+            unless given, less the windows larger than half an exemplar.
         boundary: "periodic" makes a texture that tiles.
         carry: begin each scale with the exemplar rendered from the labels of the last; False
             enlarges the pixels, as the paper does.
@@ -348,6 +349,8 @@ def synthesize(
     zs = [z.detach() for z in zs]
     keep = _masks(masks, zs)
     plan = _plan(zs, keep, height, width, tuple(schedule or default_schedule()))
+    if schedule is None:
+        plan = _roomy(plan, zs)
     if init is not None:
         check_image(init, "init")
         if len(init) != len(zs[0]):
@@ -534,6 +537,12 @@ def _plan(
             "give a larger exemplar, size or mask, or a schedule with smaller windows"
         )
     return plan
+
+
+def _roomy(plan: list[Level], exemplars: Sequence[Tensor]) -> list[Level]:
+    """Levels whose windows are at most half an exemplar: larger ones have few labels to choose."""
+    shortest = max(min(z.shape[1:]) for z in exemplars)
+    return [level for level in plan if 2 * level.size <= level.extent(shortest)] or plan[-1:]
 
 
 def _complete(level: Level, grid: Grid, exemplars: Sequence[Tensor]) -> bool:
