@@ -9,7 +9,16 @@ from conftest import noise, stripes
 from torch import Tensor
 
 from torchtex import features, wavelets
-from torchtex.features import Feature, Gradients, Pixels, Stack, Wavelets, Windowed, is_linear
+from torchtex.features import (
+    Feature,
+    Gradients,
+    Pixels,
+    Stack,
+    Wavelets,
+    Windowed,
+    as_windowed,
+    is_linear,
+)
 
 LINEAR = [
     Pixels(),
@@ -98,9 +107,10 @@ def test_a_window_too_small_for_all_levels_takes_fewer(size: int) -> None:
 
 
 def test_only_one_mode_acts_in_the_window() -> None:
-    patches, image = noise(3, 8, 8, 2), noise(2, 16, 16)
+    image = noise(2, 16, 16)
     assert isinstance(Wavelets(), Windowed)
-    assert torch.equal(Wavelets().window(patches), patches)
+    assert as_windowed(Wavelets()) is None
+    assert as_windowed(Wavelets(mode="window")) == Wavelets(mode="window")
     assert torch.equal(Wavelets(mode="window")(image), image)
 
 

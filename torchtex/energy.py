@@ -9,7 +9,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from torchtex.features import Feature, Pixels, Windowed, is_linear
+from torchtex.features import Feature, Pixels, as_windowed, is_linear
 from torchtex.neighborhoods import Grid, falloff
 from torchtex.quadratic import Quadratic, total
 
@@ -95,11 +95,12 @@ class Windows:
 def embed(patches: Float[Tensor, "n e"], size: int, feature: Feature) -> Float[Tensor, "n d"]:
     """Weights windows by sqrt(fall-off), then applies the in-window stage of the feature."""
     weights = falloff(size).sqrt().to(patches)
-    if not isinstance(feature, Windowed):
+    windowed = as_windowed(feature)
+    if windowed is None:
         k = patches.shape[1] // size**2
         return patches * weights.flatten().repeat_interleave(k)
     windows = patches.view(len(patches), size, size, -1) * weights[:, :, None]
-    return feature.window(windows).reshape(len(patches), -1)
+    return windowed.window(windows).reshape(len(patches), -1)
 
 
 @dataclass(frozen=True)
@@ -152,7 +153,12 @@ class TextureEnergy:
             return None
         squared = self.distances(x)
         sites = self.site_weights(squared)
-        part = self._pixel_part(x, sites) if isinstance(feature, Pixels) else self._part(x, sites)
+        if as_windowed(feature) is not None:
+            part = self._window_part(x, sites)
+        elif isinstance(feature, Pixels):
+            part = self._pixel_part(x, sites)
+        else:
+            part = self._image_part(x, sites)
         return replace(part, constant=self.of_distances(squared) - part(x))
 
     def _site_slices(self) -> list[tuple[slice, slice]]:
@@ -168,23 +174,46 @@ class TextureEnergy:
             grid.scatter(sites[some, None] * profile, band, out=cover)
         return cover.contiguous()
 
+    def _pulled(self, x: Tensor, sites: Tensor, k: int) -> Tensor:
+        """(k, h, w): sum of site weight times fall-off times matched channels over the windows."""
+        grid = self.windows.grid
+        root = falloff(grid.size).sqrt().to(x).flatten()
+        pulled = grid.zeros(x, k)
+        for band, some in self._site_slices():
+            target = self.targets(band).view(-1, grid.size**2, self._width(k))[:, :, :k]
+            weighted = target * (sites[some, None, None] * root[:, None])
+            grid.scatter(weighted.flatten(1), band, out=pulled)
+        return pulled.contiguous()
+
     def _pixel_part(self, x: Tensor, sites: Tensor) -> Quadratic:
         """Closed form: every pixel is a weighted mean of the matched pixels."""
-        grid, c = self.windows.grid, x.shape[0]
-        root = falloff(grid.size).sqrt().to(x).flatten()
-        b = grid.zeros(x, c)
-        for band, some in self._site_slices():
-            target = self.targets(band).view(-1, grid.size**2, self._width(c))[:, :, :c]
-            pulled = target * (sites[some, None, None] * root[:, None])
-            grid.scatter(pulled.flatten(1), band, out=b)
         weight = self._coverage(x, sites)
-        return Quadratic(lambda y: weight * y, b.contiguous(), x.new_zeros(()), weight.expand_as(x))
+        b = self._pulled(x, sites, len(x))
+        return Quadratic(lambda y: weight * y, b, x.new_zeros(()), weight.expand_as(x))
+
+    def _image_part(self, x: Tensor, sites: Tensor) -> Quadratic:
+        """A = psi^T diag(coverage) psi: windows need not be gathered to apply it."""
+        weight = self._coverage(x, sites)
+
+        def adjoint(y: Tensor, weigh: Callable[[Tensor], Tensor]) -> Tensor:
+            y = y.detach().requires_grad_()
+            with torch.enable_grad():
+                channels = self.windows.channels(y)
+            return torch.autograd.grad(channels, y, weigh(channels.detach()))[0]
+
+        return Quadratic(
+            lambda y: adjoint(y, lambda channels: weight * channels),
+            adjoint(x, lambda channels: self._pulled(x, sites, len(channels))),
+            x.new_zeros(()),
+            weight.expand_as(x),
+            self._response(x),
+        )
 
     def _width(self, k: int) -> int:
         return k if self.windows.guide is None else k + self.windows.guide.shape[0]
 
-    def _part(self, x: Tensor, sites: Tensor) -> Quadratic:
-        """A and b by autograd, since the feature gives only its forward map."""
+    def _window_part(self, x: Tensor, sites: Tensor) -> Quadratic:
+        """A and b through the windows, by autograd: the feature gives only its forward map."""
 
         def pull(y: Tensor, use: Callable[[Tensor, slice, slice], Tensor]) -> Tensor:
             y = y.detach().requires_grad_()

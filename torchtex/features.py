@@ -26,7 +26,10 @@ class Linear(Protocol):
 
 @runtime_checkable
 class Windowed(Protocol):
-    """A feature with a second, linear stage inside each window."""
+    """A feature that may have a second, linear stage inside each window."""
+
+    @property
+    def windowed(self) -> bool: ...
 
     def window(self, patches: Float[Tensor, "n size size k"]) -> Float[Tensor, "n size size k"]: ...
 
@@ -125,6 +128,11 @@ class Wavelets:
         return (1.0, *(self.detail,) * self.levels) if self.weights is None else self.weights
 
     @property
+    def windowed(self) -> bool:
+        """True when the transform is inside the windows."""
+        return self.mode == "window"
+
+    @property
     def _roots(self) -> list[float]:
         first, *rest = self.level_weights
         return [first**0.5, *(w**0.5 for w in rest for _ in range(3))]
@@ -137,9 +145,7 @@ class Wavelets:
         return (bands * roots).flatten(0, 1)
 
     def window(self, patches: Float[Tensor, "n size size k"]) -> Float[Tensor, "n size size k"]:
-        """The transform inside each window; nothing in stationary mode."""
-        if self.mode == "stationary":
-            return patches
+        """The transform inside each window, for the mode "window"."""
         size = patches.shape[1]
         levels = max(1, min(self.levels, (size & -size).bit_length() - 1))
         whole = wavelets.window_transform(patches, self.wavelet, levels)
@@ -174,7 +180,7 @@ class Stack:
             raise ValueError(
                 f"weights={weights} must be {len(self.features)} numbers of at least 0"
             )
-        if any(isinstance(f, Wavelets) and f.mode == "window" for f in self.features):
+        if any(as_windowed(f) is not None for f in self.features):
             raise ValueError('Wavelets(mode="window") cannot be stacked; use mode="stationary"')
 
     @property
@@ -196,3 +202,13 @@ def is_linear(feature: Feature) -> bool:
         (True, False)
     """
     return isinstance(feature, Linear) and feature.linear
+
+
+def as_windowed(feature: Feature) -> Windowed | None:
+    """The feature, if it has a stage inside windows.
+
+    Example:
+        >>> as_windowed(Wavelets("haar")) is None
+        True
+    """
+    return feature if isinstance(feature, Windowed) and feature.windowed else None
