@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -256,7 +257,7 @@ def test_info(run: Run) -> None:
     assert values["versions"]["torchtex"] == torchtex.__version__
     assert values["devices"][0] == "cpu"
     assert values["exemplars"] == list(data.names())
-    assert f"torch {torch.__version__}" in run("info").out
+    assert f"torch {version('torch')}" in run("info").out  # a local +cpu may be left out
 
 
 @pytest.mark.parametrize("arguments", [("--help",), (), ("synth", "--help"), ("repeat", "--help")])
