@@ -72,18 +72,18 @@ class Level:
 
 
 def default_schedule(steps: int | None = None) -> tuple[Level, ...]:
-    """1/4 with 16, 8; 1/2 with 16, 8; full with 32, 16, 8; `steps` replaces the steps of each.
+    """1/4 with 12, 8; 1/2 with 16, 8; full with 32, 16, 8; `steps` replaces the steps of each.
 
-    The first level is not in the paper: a window that sees half of a small exemplar lays out
+    The first level is not in the paper: a window that sees a third of a small exemplar lays out
     weaves and pavings that smaller ones break.
 
     Source: Kwatra et al. 2005, section 3.2.
 
     Example:
         >>> [level.size for level in default_schedule()]
-        [16, 8, 16, 8, 32, 16, 8]
+        [12, 8, 16, 8, 32, 16, 8]
     """
-    quarter = ((0.25, 16, 4), (0.25, 8, 8))
+    quarter = ((0.25, 12, 3), (0.25, 8, 8))
     plan = (*quarter, (0.5, 16, 4), (0.5, 8, 4), (1.0, 32, 2), (1.0, 16, 2), (1.0, 8, 3))
     return tuple(Level(scale, size, steps or own) for scale, size, own in plan)
 
@@ -109,7 +109,7 @@ class Blocks:
         fraction: side of a block, of the shortest exemplar side.
     """
 
-    fraction: float = 0.25
+    fraction: float = 0.2
 
     def __post_init__(self) -> None:
         if not 0 < self.fraction <= 1:
@@ -320,8 +320,9 @@ def synthesize(
         schedule: levels; those whose windows do not fit are left out. `default_schedule()`
             unless given, less the windows larger than half an exemplar.
         boundary: "periodic" makes a texture that tiles.
-        carry: begin each scale with the exemplar rendered from the labels of the last; False
-            enlarges the pixels, as the paper does.
+        carry: begin each level with exemplar pixels picked by the labels of the last, where the
+            scale changes and, without controls, at full scale; False keeps or enlarges the
+            averaged pixels, as the paper does.
         search: of the M-step; `fast_search()` unless given.
         estep: `Auto()` unless given.
         controls: (weight, energy) pairs; any function of the image is an energy. One with a
@@ -383,6 +384,10 @@ def synthesize(
                 x = _carried(model, fit, x, smaller, some, grid)
             else:
                 x = resize(x, (grid.height, grid.width))
+        elif carry and level.scale == 1 and not controls:
+            assert model is not None
+            assert fit is not None
+            x = _composed(model, fit, x, smaller)
         model = texture_model(
             smaller,
             grid,
@@ -592,6 +597,25 @@ def _carried(
         positions[lost] = space.positions[0]
     weights = (~lost).to(x) + 1e-6
     return LabelField(finer, positions, weights, shapes).apply(exemplars)
+
+
+def _composed(model: TextureModel, fit: Fit, x: Tensor, exemplars: Sequence[Tensor]) -> Tensor:
+    """Every pixel from the one window that weighs most: sharp, with seams that the next level mends.
+
+    Where large windows disagree their mean is blurred, and the small windows that follow would
+    match the blur to whatever is flat in the exemplar.
+    """
+    labels = fit.labels[0]
+    energy = model.energy(labels)
+    weights = energy.site_weights(energy.distances(x))
+    shapes = tuple((z.shape[1], z.shape[2]) for z in exemplars)
+    field = LabelField(model.grid, model.space.positions[labels], weights, shapes)
+    which, row, col = field.source_map().unbind(-1)
+    whole = torch.empty_like(x)
+    for number, z in enumerate(exemplars):
+        here = which == number
+        whole[:, here] = z[:, row[here], col[here]]
+    return whole
 
 
 def _carried_positions(
