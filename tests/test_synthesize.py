@@ -101,7 +101,7 @@ def test_any_number_of_channels(channels: int, dtype: torch.dtype, boundary: str
 
 def test_a_texture_is_closer_to_its_exemplar_than_a_plain_baseline() -> None:
     z = stripes(40, 40)
-    result = quick(z, (48, 48))
+    result = synthesize(z, (48, 48))
     pixels = z.flatten(1)
     pick = torch.randint(pixels.shape[1], (48 * 48,), generator=torch.Generator().manual_seed(0))
     shuffled = pixels[:, pick].view(3, 48, 48)

@@ -600,7 +600,7 @@ def _carried(
 
 
 def _composed(model: TextureModel, fit: Fit, x: Tensor, exemplars: Sequence[Tensor]) -> Tensor:
-    """Every pixel from the one window that weighs most: sharp, with seams that the next level mends.
+    """Every pixel from the window that weighs most: sharp, with seams for the next level to mend.
 
     Where large windows disagree their mean is blurred, and the small windows that follow would
     match the blur to whatever is flat in the exemplar.
