@@ -303,7 +303,7 @@ class Bench:
         path = self.pictures / method / f"{case.name}_{seed}.png"
         path.parent.mkdir(exist_ok=True)
         made_by = {
-            "version": self.versions.get(method, self.source),
+            "version": self.versions.get(method) or fingerprint(*modules("synthesize")),
             "call": self.calls[method],
             "exemplar": fingerprint(exemplar),
             "size": SIZE,
@@ -560,7 +560,8 @@ def report(
         lines += ["", "## Targets", "", "| target | | torchtex |", "|---|---|---|"]
         words = {True: "kept", False: "**lost**", None: "not measured"}
         lines += [f"| {t.promise} | {words[t.kept]} | {t.figures} |" for t in targets]
-        lines += ["", "Exemplars that do not meet a target by themselves:", ""]
+        if any(t.losses for t in targets):
+            lines += ["", "Exemplars that do not meet a target by themselves:", ""]
         lines += [f"- {t.promise}: {', '.join(t.losses)}" for t in targets if t.losses]
     if errors:
         lines += ["", "## Failures", ""]
@@ -619,6 +620,8 @@ def main() -> None:
                 value = bench.diversity(case, method, options.seeds)
                 spread.setdefault(method, []).extend([] if value is None else [value])
         print(f"{number}/{len(cases)} {case.name}", flush=True)
+    if bench.source != fingerprint(*modules("synthesize")):
+        print("torchtex was edited during the run: run again to replace older pictures", flush=True)
     about = {
         "versions": {
             "python": platform.python_version(),
