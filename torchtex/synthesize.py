@@ -411,10 +411,7 @@ def synthesize(
     assert fit is not None
     assert model is not None
     labels = fit.labels[0]
-    energy = model.energy(labels)
-    weights = energy.site_weights(energy.distances(x))
-    shapes = tuple((z.shape[1], z.shape[2]) for z in zs)
-    field = LabelField(model.grid, model.space.positions[labels], weights, shapes)
+    field = _field(model, labels, x, zs)
     if isinstance(feature, Pixels) and not controls:
         x = field.apply(zs)  # one more reweighted mean, so that `apply` gives the same bits
     settings = {
@@ -599,17 +596,23 @@ def _carried(
     return LabelField(finer, positions, weights, shapes).apply(exemplars)
 
 
+def _field(
+    model: TextureModel, labels: Tensor, x: Tensor, exemplars: Sequence[Tensor]
+) -> LabelField:
+    """Labels of a level with the robust weights that they have at x."""
+    energy = model.energy(labels)
+    weights = energy.site_weights(energy.distances(x))
+    shapes = tuple((z.shape[1], z.shape[2]) for z in exemplars)
+    return LabelField(model.grid, model.space.positions[labels], weights, shapes)
+
+
 def _composed(model: TextureModel, fit: Fit, x: Tensor, exemplars: Sequence[Tensor]) -> Tensor:
     """Every pixel from the window that weighs most: sharp, with seams for the next level to mend.
 
     Where large windows disagree their mean is blurred, and the small windows that follow would
     match the blur to whatever is flat in the exemplar.
     """
-    labels = fit.labels[0]
-    energy = model.energy(labels)
-    weights = energy.site_weights(energy.distances(x))
-    shapes = tuple((z.shape[1], z.shape[2]) for z in exemplars)
-    field = LabelField(model.grid, model.space.positions[labels], weights, shapes)
+    field = _field(model, fit.labels[0], x, exemplars)
     which, row, col = field.source_map().unbind(-1)
     whole = torch.empty_like(x)
     for number, z in enumerate(exemplars):
