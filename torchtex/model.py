@@ -377,11 +377,11 @@ def texture_model(
         pick = torch.randperm(len(space), generator=generator)[:1500].to(device)
         axes = principal_axes(keys_of(pick), search.dimensions, generator)
     every = torch.arange(len(space), device=device)
-    parts = (
-        [keys_of(part) for part in every.split(max(64, 2**22 // d))]
-        if axes is None
-        else [keys_of(part) @ axes for part in every.split(max(64, 2**22 // d))]
-    )
+    keys_at_once = max(64, 2**22 // d)
+    parts = [
+        keys_of(part) if axes is None else keys_of(part) @ axes
+        for part in every.split(keys_at_once)
+    ]
     keys = torch.cat(parts)
     eps = 0.02 * d**0.5
     return TextureModel(
