@@ -20,6 +20,7 @@ from torch import Tensor
 import torchtex
 from torchtex import cli, data
 from torchtex import image as images
+from torchtex.cli import synth
 from torchtex.labels import LabelField
 
 ROOT = Path(torchtex.__file__).parent.parent
@@ -433,7 +434,7 @@ def test_no_memory_is_a_sentence(run: Run, here: Path, monkeypatch: pytest.Monke
     def load(*_: Any) -> None:
         raise RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to allocate 9")
 
-    monkeypatch.setattr(cli, "_load", load)
+    monkeypatch.setattr(synth, "_load", load)
     done = run("synth", "z.png", *X)
     assert done.code == 2
     assert "not enough memory" in done.err
@@ -443,7 +444,7 @@ def test_our_own_mistakes_are_not_hidden(here: Path, monkeypatch: pytest.MonkeyP
     def load(*_: Any) -> None:
         raise AssertionError("ours")
 
-    monkeypatch.setattr(cli, "_load", load)
+    monkeypatch.setattr(synth, "_load", load)
     with pytest.raises(AssertionError, match="ours"):
         cli.main(["synth", "z.png", *X])
 
@@ -520,7 +521,7 @@ def test_an_interrupt_before_any_pixel_writes_nothing(
         except KeyboardInterrupt:
             raise error from None
 
-    monkeypatch.setattr(cli, "_load", load)
+    monkeypatch.setattr(synth, "_load", load)
     before = signal.getsignal(signal.SIGINT)
     done = run("synth", "z.png", *X, "--keep-partial")
     assert done.code == 130

@@ -57,7 +57,7 @@ def exact_search() -> Search:
 
 def fast_search() -> Search:
     """Principal axes, clusters and coherent candidates."""
-    return Search(Clustered(), dimensions=24, candidates=4, coherence=True)
+    return Search(Clustered(), dimensions=48, candidates=4, coherence=True)
 
 
 @dataclass(frozen=True)

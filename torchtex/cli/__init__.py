@@ -1,0 +1,10 @@
+"""The command line: parses, calls one recipe, shows; no numerics.
+
+Nothing heavy is imported at the top of these modules, so that `torchtex --help` answers at once.
+"""
+
+# each module adds its commands to `app`, in the order that --help lists them
+from torchtex.cli import synth, apply, repeat, measure  # isort: skip  # noqa: F401
+from torchtex.cli.base import app, main
+
+__all__ = ["app", "main"]

@@ -1,0 +1,1 @@
+"""Systems of the papers and those they compare with: short functions on core and cuts."""
