@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchtex import energy
 from torchtex.controls import Guide, SoftConstraint
-from torchtex.energy import Bounded, Energy, Objective, TextureEnergy, Windows, rowwise_sum
+from torchtex.energy import Bounded, Energy, Objective, TextureEnergy, Windows
 from torchtex.estep import ClosedForm
 from torchtex.features import Feature, Gradients, Pixels, Stack, Wavelets
 from torchtex.model import exact_search, texture_model
@@ -195,11 +195,6 @@ def test_stacked_features_share_one_bound() -> None:
     assert q is not None
     torch.testing.assert_close(q(x), e(x))
     assert q(y) >= e(y)
-
-
-def test_blockwise_sum() -> None:
-    for n in (0, 1, 1023, 1024, 5000):
-        torch.testing.assert_close(rowwise_sum(noise(n)), noise(n).sum())
 
 
 def test_the_examples_run() -> None:

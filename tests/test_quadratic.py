@@ -14,7 +14,7 @@ from torchtex.energy import Objective, TextureEnergy
 from torchtex.features import Feature, Gradients, Pixels, Stack, Wavelets
 from torchtex.model import exact_search, texture_model
 from torchtex.neighborhoods import Grid
-from torchtex.quadratic import Quadratic, diagonal, minimise, total
+from torchtex.quadratic import Quadratic, diagonal, minimise, rowwise_sum, total
 
 FEATURES = [
     Pixels(),
@@ -139,3 +139,8 @@ def test_more_steps_never_raise_the_quadratic() -> None:
 
 def test_the_examples_run() -> None:
     assert doctest.testmod(quadratic).failed == 0
+
+
+def test_blockwise_sum() -> None:
+    for n in (0, 1, 1023, 1024, 5000):
+        torch.testing.assert_close(rowwise_sum(noise(n)), noise(n).sum())

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchtex.features import Feature, Pixels, as_windowed, is_linear
 from torchtex.neighborhoods import Grid, falloff
-from torchtex.quadratic import Quadratic, total
+from torchtex.quadratic import Quadratic, rowwise_sum, total
 
 
 @runtime_checkable
@@ -258,17 +258,6 @@ class TextureEnergy:
                 echo = torch.autograd.grad(norm, impulse)[0][channel]
             rows.append(torch.fft.rfft2(echo).abs())
         return torch.stack(rows)
-
-
-def rowwise_sum(values: Float[Tensor, "n"]) -> Float[Tensor, ""]:
-    """Sum in blocks of 1024, so that its bits do not depend on the thread count.
-
-    Example:
-        >>> rowwise_sum(torch.ones(3000)).item()
-        3000.0
-    """
-    whole = values.shape[0] // 1024 * 1024
-    return values[:whole].view(-1, 1024).sum(1).sum() + values[whole:].sum()
 
 
 class _Gather(torch.autograd.Function):

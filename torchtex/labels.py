@@ -1,19 +1,18 @@
 """The label field: where every window of a texture came from, and how to render from it."""
 
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchtex.image import atomic_write, check_image
+from torchtex.image import atomic_write
 from torchtex.model import LabelSpace, strips
 from torchtex.neighborhoods import Grid, falloff
+from torchtex.sources import UNREADABLE, SourceField, check_maps, unreadable
 
 
 @dataclass(frozen=True)
@@ -73,17 +72,7 @@ class LabelField:
             ValueError: another number of maps than exemplars, or a map of another size.
         """
         images = [maps] if isinstance(maps, Tensor) else list(maps)
-        if len(images) != len(self.shapes):
-            raise ValueError(
-                f"map: {len(images)} given for {len(self.shapes)} exemplars; give one each"
-            )
-        for image, shape in zip(images, self.shapes, strict=True):
-            check_image(image, "map")
-            if tuple(image.shape[1:]) != shape:
-                raise ValueError(
-                    f"map is {image.shape[1]}x{image.shape[2]} and its exemplar is "
-                    f"{shape[0]}x{shape[1]}; give a map of the size of the exemplar"
-                )
+        check_maps(images, self.shapes)
         grid, size = self.grid, self.grid.size
         profile = falloff(size).to(images[0]).flatten()
         table = strips(images, LabelSpace(self.positions, ()), size)
@@ -137,18 +126,20 @@ class LabelField:
             room = torch.tensor(shapes)[which] - size
             if bool((positions[:, 1:] < 0).any()) or bool((positions[:, 1:] > room).any()):
                 raise ValueError("its labels leave the exemplar")
-        except (
-            OSError,
-            KeyError,
-            ValueError,
-            TypeError,
-            AttributeError,
-            EOFError,
-            BadZipFile,
-            zlib.error,
-        ) as error:
-            raise ValueError(
-                f"labels={path} is not a label file ({error}); "
-                "give an .npz written with --labels or LabelField.save"
-            ) from None
+        except UNREADABLE as error:
+            raise unreadable(path, error) from None
         return LabelField(grid, positions, weights, shapes)
+
+
+def load_field(path: str | Path) -> LabelField | SourceField:
+    """Reads a label file of any recipe.
+
+    Raises:
+        ValueError: no such file, or another kind of file.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            kinds = set(file.files)
+    except UNREADABLE as error:
+        raise unreadable(path, error) from None
+    return SourceField.load(path) if "sources" in kinds else LabelField.load(path)

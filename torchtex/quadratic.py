@@ -14,6 +14,17 @@ def dot(a: Float[Tensor, "c h w"], b: Float[Tensor, "c h w"]) -> Float[Tensor, "
     return (a * b).sum(-1).sum()
 
 
+def rowwise_sum(values: Float[Tensor, "n"]) -> Float[Tensor, ""]:
+    """Sum in blocks of 1024, so that its bits do not depend on the thread count.
+
+    Example:
+        >>> rowwise_sum(torch.ones(3000)).item()
+        3000.0
+    """
+    whole = values.shape[0] // 1024 * 1024
+    return values[:whole].view(-1, 1024).sum(1).sum() + values[whole:].sum()
+
+
 @contextmanager
 def threads(count: int) -> Iterator[None]:
     """That many threads inside; one where a routine's bits would depend on their number."""

@@ -174,6 +174,24 @@ class Progress:
     half: HalfStep
     done: float
 
+    @property
+    def note(self) -> str:
+        """What goes on, in a few words."""
+        level = self.schedule
+        return (
+            f"level {self.level + 1} of {self.levels}: scale {level.scale:g}, window {level.size}"
+        )
+
+    @property
+    def detail(self) -> str:
+        """The energy, as text."""
+        return f"energy {self.half.energy:.4g}"
+
+    @property
+    def texture(self) -> Float[Tensor, "c h w"]:
+        """A preview."""
+        return self.half.texture
+
 
 @dataclass(frozen=True)
 class Trace:

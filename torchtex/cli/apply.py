@@ -8,16 +8,17 @@ import typer
 
 from torchtex.cli.base import app
 from torchtex.cli.files import bits_of, check_output, holds, same_channels
+from torchtex.cli.options import Output
 
 
 @app.command()
 def apply(
-    labels: Annotated[Path, typer.Argument(help="The .npz of `torchtex synth --labels`.")],
+    labels: Annotated[Path, typer.Argument(help="An .npz that --labels wrote.")],
     maps: Annotated[
         list[Path],
         typer.Argument(metavar="MAP...", help="Maps aligned with the exemplars, one for each."),
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="PNG, JPEG or TIFF to write.")],
+    output: Output,
     bits: Annotated[
         int | None, typer.Option(help="8 or 16; unless given, as many as the map and file allow.")
     ] = None,
@@ -28,10 +29,10 @@ def apply(
     """
     import torchtex
     from torchtex import image as images
-    from torchtex.labels import LabelField
+    from torchtex.labels import load_field
 
     check_output(output, [*maps, labels])
-    label_field = LabelField.load(labels)
+    label_field = load_field(labels)
     loaded = [images.load(path, alpha=False, name="map").image for path in maps]
     for path, values in zip(maps, loaded, strict=True):
         low, high = float(values.min()), float(values.max())

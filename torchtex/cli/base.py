@@ -113,9 +113,6 @@ def _watching_interrupts() -> Iterator[None]:
         signal.signal(signal.SIGINT, old)
 
 
-# ------------------------------------------------------------------------------------ the run
-
-
 class Watch:
     """Keeps the last texture and shows how far the run is."""
 
@@ -123,33 +120,29 @@ class Watch:
         self.bar = bar
         self.quiet = quiet
         self.texture: torch.Tensor | None = None
-        self.level = -1
-        self.task = bar.add_task("start", total=1.0, energy="") if bar is not None else None
+        self.note = ""
+        self.task = bar.add_task("start", total=1.0, detail="") if bar is not None else None
 
     def __call__(self, progress: Any) -> None:
-        half, level = progress.half, progress.schedule
-        self.texture = half.texture
+        """Takes a `synthesize.Progress` or a `montage.Stage`."""
+        self.texture = progress.texture
         if Interrupts.seen:  # swallowed by a library
             raise KeyboardInterrupt
-        name = (
-            f"level {progress.level + 1} of {progress.levels}: "
-            f"scale {level.scale:g}, window {level.size}"
-        )
         if self.bar is not None:
             self.bar.update(
                 self.task,
                 completed=progress.done,
-                description=name,
-                energy=f"energy {half.energy:.4g}",
+                description=progress.note,
+                detail=progress.detail,
             )
-        elif not self.quiet and progress.level != self.level:
-            print(name, file=sys.stderr, flush=True)
-        self.level = progress.level
+        elif not self.quiet and progress.note != self.note:
+            print(progress.note, file=sys.stderr, flush=True)
+        self.note = progress.note
 
 
 @contextlib.contextmanager
 def progress_bar(quiet: bool) -> Iterator[Watch]:
-    """A bar on a terminal, else one line per level, on stderr."""
+    """A bar on a terminal, else one line per stage, on stderr."""
     if quiet or not sys.stderr.isatty():
         yield Watch(quiet=quiet)
         return
@@ -159,11 +152,8 @@ def progress_bar(quiet: bool) -> Iterator[Watch]:
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
-        TextColumn("{task.fields[energy]}"),
+        TextColumn("{task.fields[detail]}"),
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         yield Watch(bar)
-
-
-# ------------------------------------------------------------------------------------ files

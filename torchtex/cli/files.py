@@ -2,10 +2,11 @@
 
 import difflib
 import hashlib
+import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import torch
@@ -105,9 +106,6 @@ def device_of(name: str) -> "torch.device":
     return device
 
 
-# --------------------------------------------------------------------------------- progress
-
-
 def choose(name: str, value: str, allowed: Sequence[str]) -> None:
     """Refuses a value that is not allowed, with what is."""
     if value not in allowed:
@@ -135,3 +133,13 @@ def parse_size(text: str, name: str = "size") -> tuple[int, int]:
             f"{name}={text!r} must be HEIGHTxWIDTH in pixels, both at least 1, such as 256x256"
         )
     return int(found[1]), int(found[2])
+
+
+def save_picture(output: Path, texture: "torch.Tensor", bits: int, about: dict[str, Any]) -> None:
+    """Writes a picture with what made it."""
+    from torchtex import image as images
+
+    text = json.dumps(about)
+    if len(text) > 30000 and output.suffix.lower() in (".jpg", ".jpeg"):  # holds 64 KB
+        text = json.dumps({key: value for key, value in about.items() if key != "levels"})
+    images.save(output, texture, bits=bits, metadata={"torchtex": text}, name="output")

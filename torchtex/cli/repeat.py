@@ -9,41 +9,63 @@ from typing import Annotated, Any
 import typer
 
 from torchtex.cli.base import app
-from torchtex.cli.files import sha256
+from torchtex.cli.files import check_output, exemplar_path, sha256
+from torchtex.cli.options import KeepPartial, Labels, Output, Quiet, Report, Threads
+from torchtex.cli.recipe import command_line
 from torchtex.cli.synth import Recipe, run
 
 
 @app.command()
 def repeat(
-    result: Annotated[Path, typer.Argument(help="A picture that `torchtex synth` wrote.")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="PNG, JPEG or TIFF to write.")],
-    labels: Annotated[Path | None, typer.Option(help=".npz to write.")] = None,
-    report: Annotated[Path | None, typer.Option(help=".json to write.")] = None,
-    threads: Annotated[
-        int | None, typer.Option(min=1, max=4096, help="CPU threads; changes no pixel.")
-    ] = None,
-    keep_partial: Annotated[
-        bool, typer.Option("--keep-partial", help="On Ctrl-C, write the best texture so far.")
-    ] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", help="No progress.")] = False,
+    result: Annotated[Path, typer.Argument(help="A picture that `torchtex` wrote.")],
+    output: Output,
+    labels: Labels = None,
+    report: Report = None,
+    threads: Threads = None,
+    keep_partial: KeepPartial = False,
+    quiet: Quiet = False,
 ) -> None:
     """Run again what made RESULT, by the options and file names that it holds.
 
     Relative names are looked up from the current folder. A file written by --keep-partial is
     made whole.
     """
-    import torchtex
     from torchtex import image as images
 
     text = images.read_metadata(result, name="result").get("torchtex")
     if text is None:
         raise ValueError(
             f"result={str(result)!r} does not say how it was made; "
-            "give a picture that torchtex synth wrote"
+            "give a picture that torchtex wrote"
         )
     about = _stored(result, text)
+    if about.get("command", "synth") != "synth":
+        _check_files(result, about, {name: exemplar_path(name) for name in about["files"]})
+        line = _line(result, about)
+        if not quiet:
+            _tell_version(about)
+        _run_again(line, output, labels, report, threads, keep_partial, quiet, result)
+        return
     recipe = _recipe(result, about["options"])
-    for name, path in recipe.files().items():
+    _check_files(result, about, recipe.files())
+    if not quiet:
+        _tell_version(about)
+    run(recipe, output, labels, report, threads, keep_partial, quiet, source=result)
+
+
+def _tell_version(about: dict[str, Any]) -> None:
+    import torchtex
+
+    if about.get("version") != torchtex.__version__:
+        print(
+            f"made by torchtex {about.get('version')}, this is {torchtex.__version__}: "
+            "pixels may differ",
+            file=sys.stderr,
+        )
+
+
+def _check_files(result: Path, about: dict[str, Any], files: dict[str, Path]) -> None:
+    for name, path in files.items():
         if not path.is_file():
             raise ValueError(
                 f"result={str(result)!r} was made from {name!r}, which is missing; "
@@ -54,13 +76,45 @@ def repeat(
                 f"result={str(result)!r} was made from {name!r}, which has changed since; "
                 "put the old file back"
             )
-    if about.get("version") != torchtex.__version__ and not quiet:
-        print(
-            f"made by torchtex {about.get('version')}, this is {torchtex.__version__}: "
-            "pixels may differ",
-            file=sys.stderr,
-        )
-    run(recipe, output, labels, report, threads, keep_partial, quiet, source=result)
+
+
+def _line(result: Path, about: dict[str, Any]) -> list[str]:
+    """The command line of a recipe other than synth; a picture from elsewhere may hold anything."""
+    name = about["command"]
+    group = typer.main.get_command(app)
+    command = getattr(group, "commands", {}).get(name) if isinstance(name, str) else None
+    try:
+        if command is None:
+            raise ValueError(f"command {name} is unknown")
+        return [name, *command_line(command, about["options"])]
+    except ValueError as error:
+        raise ValueError(
+            f"result={str(result)!r} cannot be made again by this version ({error}); "
+            "use the version that made it"
+        ) from None
+
+
+def _run_again(
+    line: list[str],
+    output: Path,
+    labels: Path | None,
+    report: Path | None,
+    threads: int | None,
+    keep_partial: bool,
+    quiet: bool,
+    source: Path,
+) -> None:
+    check_output(output, [source])
+    name, *rest = line
+    extra = [f"--output={output}"]
+    extra += [f"--labels={labels}"] if labels is not None else []
+    extra += [f"--report={report}"] if report is not None else []
+    extra += [f"--threads={threads}"] if threads is not None else []
+    extra += ["--keep-partial"] if keep_partial else []
+    extra += ["--quiet"] if quiet else []
+    typer.main.get_command(app).main(
+        [name, *extra, *rest], prog_name="torchtex", standalone_mode=False
+    )
 
 
 def _stored(result: Path, text: str) -> dict[str, Any]:
@@ -77,7 +131,7 @@ def _stored(result: Path, text: str) -> dict[str, Any]:
     if not isinstance(about, dict) or not all(isinstance(about.get(k), dict) for k in wanted):
         raise ValueError(
             f"result={str(result)!r} holds metadata that is not complete; "
-            "give a picture that torchtex synth wrote"
+            "give a picture that torchtex wrote"
         )
     return about
 
@@ -114,6 +168,3 @@ def _recipe(result: Path, options: dict[str, Any]) -> Recipe:
     for name in ("r", "completeness", "confidence"):
         made[name] = float(made[name])
     return replace(Recipe(("-",), "1x1"), **made)
-
-
-# -------------------------------------------------------------------------------------- info

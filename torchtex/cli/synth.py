@@ -19,7 +19,21 @@ from torchtex.cli.files import (
     holds,
     parse_size,
     same_channels,
+    save_picture,
     sha256,
+)
+from torchtex.cli.options import (
+    Bits,
+    Device,
+    Exemplars,
+    KeepPartial,
+    Labels,
+    Output,
+    Quiet,
+    Report,
+    Seed,
+    Size,
+    Threads,
 )
 
 if TYPE_CHECKING:
@@ -138,15 +152,9 @@ class _Inputs:
 
 @app.command()
 def synth(
-    exemplar: Annotated[
-        list[str],
-        typer.Argument(
-            help="Pictures, or names of bundled exemplars (see `torchtex info`). Transparent "
-            "pixels are not used. Grey ones beside colour ones become RGB."
-        ),
-    ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="PNG, JPEG or TIFF to write.")],
-    size: Annotated[str, typer.Option(help="HEIGHTxWIDTH of the texture in pixels.")],
+    exemplar: Exemplars,
+    output: Output,
+    size: Size,
     feature: Annotated[str, typer.Option(help="What is compared: " + ", ".join(FEATURES))] = (
         "pixels"
     ),
@@ -176,20 +184,14 @@ def synth(
         str | None, typer.Option(help="White where the target counts; else all that is opaque.")
     ] = None,
     confidence: Annotated[float, typer.Option(help="Strength of the pull, above 0.")] = 1.0,
-    seed: Annotated[int, typer.Option(help="Same seed, same machine: same pixels.")] = 0,
-    threads: Annotated[
-        int | None, typer.Option(min=1, max=4096, help="CPU threads; changes no pixel.")
-    ] = None,
-    device: Annotated[str, typer.Option(help="cpu, cuda, cuda:1, mps or xpu.")] = "cpu",
-    bits: Annotated[int, typer.Option(help="Per channel of the output: 8 or 16.")] = 8,
-    labels: Annotated[Path | None, typer.Option(help=".npz to write for `torchtex apply`.")] = None,
-    report: Annotated[
-        Path | None, typer.Option(help=".json to write with options, energies and timings.")
-    ] = None,
-    keep_partial: Annotated[
-        bool, typer.Option("--keep-partial", help="On Ctrl-C, write the best texture so far.")
-    ] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", help="No progress.")] = False,
+    seed: Seed = 0,
+    threads: Threads = None,
+    device: Device = "cpu",
+    bits: Bits = 8,
+    labels: Labels = None,
+    report: Report = None,
+    keep_partial: KeepPartial = False,
+    quiet: Quiet = False,
 ) -> None:
     """Make a texture of the given size that looks like the exemplars."""
     recipe = Recipe(
@@ -278,26 +280,17 @@ def run(
             if keep_partial and partial is not None:
                 whole = images.resize(partial, recipe.height_width)
                 about["partial"] = True
-                _save(output, whole, recipe.bits, about)
+                save_picture(output, whole, recipe.bits, about)
                 print(output)
             raise KeyboardInterrupt from None
     about |= result.report()
-    _save(output, result.texture, recipe.bits, about)
+    save_picture(output, result.texture, recipe.bits, about)
     if labels is not None:
         result.field.save(labels)
     if report is not None:
         with images.atomic_write(report, name="report") as temporary:
             temporary.write_text(json.dumps(about, indent=2) + "\n")
     print(output)
-
-
-def _save(output: Path, texture: "torch.Tensor", bits: int, about: dict[str, Any]) -> None:
-    from torchtex import image as images
-
-    text = json.dumps(about)
-    if len(text) > 30000 and output.suffix.lower() in (".jpg", ".jpeg"):  # holds 64 KB
-        text = json.dumps({key: value for key, value in about.items() if key != "levels"})
-    images.save(output, texture, bits=bits, metadata={"torchtex": text}, name="output")
 
 
 def _load(recipe: Recipe, device: "torch.device") -> _Inputs:

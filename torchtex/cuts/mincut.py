@@ -23,7 +23,7 @@ from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torchtex.energy import rowwise_sum
+from torchtex.quadratic import rowwise_sum
 
 GROUP = "torchtex.mincut"
 

@@ -1,0 +1,170 @@
+"""How a command runs a recipe: checks, progress, files written, options kept for `repeat`."""
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from torchtex.cli.base import Interrupts, Watch, progress_bar
+from torchtex.cli.files import check_output, holds, save_picture, sha256
+
+if TYPE_CHECKING:
+    import torch
+
+    from torchtex.recipes.montage import Montage
+
+ASIDE = {
+    "output", "labels", "report", "threads", "keep_partial", "quiet", "seams", "patch_map",
+    "preview",
+}  # fmt: skip
+"""Options that change no pixel: they are not kept, and `repeat` does not take them from a file."""
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """What a run writes.
+
+    Args:
+        output: the texture.
+        bits: per channel of it.
+        labels: .npz of the sources, or None.
+        report: .json, or None.
+        pictures: other pictures, by a function of the result; None is left out.
+    """
+
+    output: Path
+    bits: int = 8
+    labels: Path | None = None
+    report: Path | None = None
+    pictures: "list[tuple[str, Path | None, Callable[[Any], torch.Tensor]]]" = field(
+        default_factory=list
+    )
+
+    def check(self, read: Mapping[str, Path]) -> None:
+        """Refuses, before work starts, what cannot be written.
+
+        Raises:
+            ValueError: a name that cannot be written, or that is one of the files to be read.
+        """
+        from torchtex import image as images
+
+        if self.bits not in (8, 16):
+            raise ValueError(f"bits={self.bits} must be 8 or 16")
+        check_output(self.output, list(read.values()))
+        if not holds(self.output, 3, self.bits):
+            raise ValueError(f"bits={self.bits} cannot be saved as {self.output.suffix}; use .png")
+        for path, suffix, name in (
+            (self.labels, ".npz", "labels"),
+            (self.report, ".json", "report"),
+        ):
+            if path is not None:
+                images.check_writable(path, suffixes=(suffix,), name=name)
+        written = [self.output]
+        for name, path, _ in self.pictures:
+            if path is None:
+                continue
+            images.check_writable(path, suffixes=images.SUFFIXES, name=name)
+            if path in written:
+                raise ValueError(f"{name}={str(path)!r} is another output too; choose another name")
+            written.append(path)
+            for source in read.values():
+                if path.exists() and source.exists() and path.samefile(source):
+                    raise ValueError(
+                        f"{name}={str(path)!r} would overwrite an input; choose another name"
+                    )
+
+
+def carry_out(
+    context: typer.Context,
+    outputs: Outputs,
+    read: Mapping[str, Path],
+    make: "Callable[[Watch], Montage]",
+    *,
+    threads: int | None = None,
+    keep_partial: bool = False,
+    quiet: bool = False,
+) -> None:
+    """Runs a recipe and writes what it makes; all that can be refused is refused before.
+
+    Args:
+        context: of the command, whose options are kept in the picture.
+        outputs: what to write.
+        read: the files that decide the pixels, by the names they were given under.
+        make: loads, runs the recipe with the given `on_step`, and returns its result.
+    """
+    import torch
+
+    import torchtex
+    from torchtex import image as images
+
+    outputs.check(read)
+    if threads is not None:
+        torch.set_num_threads(threads)
+    about: dict[str, Any] = {
+        "version": torchtex.__version__,
+        "command": context.info_name,
+        "options": kept_options(context),
+        "files": {name: sha256(path) for name, path in read.items()},
+    }
+    with progress_bar(quiet) as watch:
+        try:
+            result = make(watch)
+        except (KeyboardInterrupt, Exception) as error:
+            if not Interrupts.seen and not isinstance(error, KeyboardInterrupt):
+                raise
+            Interrupts.seen = True
+            if keep_partial and watch.texture is not None:
+                save_picture(outputs.output, watch.texture, outputs.bits, about | {"partial": True})
+                print(outputs.output)
+            raise KeyboardInterrupt from None
+    about |= result.report()
+    save_picture(outputs.output, result.texture, outputs.bits, about)
+    if outputs.labels is not None:
+        result.field.save(outputs.labels)
+    if outputs.report is not None:
+        with images.atomic_write(outputs.report, name="report") as temporary:
+            temporary.write_text(json.dumps(about, indent=2) + "\n")
+    for name, path, draw in outputs.pictures:
+        if path is not None:
+            images.save(path, draw(result), name=name)
+    print(outputs.output)
+
+
+def kept_options(context: typer.Context) -> dict[str, Any]:
+    """The options of a running command that decide the pixels, as JSON values."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, (list, tuple)):
+            return [plain(item) for item in value]
+        return str(value) if isinstance(value, Path) else value
+
+    return {name: plain(value) for name, value in context.params.items() if name not in ASIDE}
+
+
+def command_line(command: Any, options: Mapping[str, Any]) -> list[str]:
+    """Arguments that give a command the options that `kept_options` kept.
+
+    Raises:
+        ValueError: an option that the command does not have, or a value that is none.
+    """
+    line: list[str] = []
+    positional: list[str] = []
+    known = {parameter.name: parameter for parameter in command.params}
+    for name, value in options.items():
+        parameter = known.get(name)
+        if parameter is None or name in ASIDE:
+            raise ValueError(f"option {name} is unknown")
+        values = value if isinstance(value, list) else [value]
+        if not all(isinstance(item, (str, int, float, bool, type(None))) for item in values):
+            raise ValueError(f"option {name} has a value that is none")
+        if parameter.param_type_name == "argument":
+            positional += [str(item) for item in values]
+        elif isinstance(value, bool):
+            chosen = parameter.opts if value else parameter.secondary_opts
+            line += chosen[:1]
+        else:
+            line += [f"{parameter.opts[0]}={item}" for item in values if item is not None]
+    return [*line, "--", *positional]
