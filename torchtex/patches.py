@@ -14,7 +14,7 @@ from torchtex.image import check_image
 from torchtex.matching import Exact, Index, Matcher, principal_axes
 from torchtex.quadratic import threads
 
-_BATCH = 16  # templates transformed at a time
+_TRANSFORMED = 2**22  # pixels of templates, enlarged to the exemplar, transformed at a time
 _FITTED = 2**22  # cell values of a pyramid made at a time
 _SAMPLED = 1000  # patches that principal axes are made of
 _ROUNDING = 8 * torch.finfo(torch.float64).eps  # of a Fourier transform, with some room
@@ -128,14 +128,16 @@ class SsdSearch:
             torch.Size([2, 9, 9])
         """
         t, m = _template(templates, mask, self.shape)
+        dtype = templates.dtype
         t = torch.where(m > 0, t.double() - self.mean[:, None, None], 0)
         m = m.expand(len(t), 1, *m.shape[2:]) if len(m) > 1 else m
         with threads(1):
+            batch = max(1, _TRANSFORMED // (self.shape[0] * self.size[0] * self.size[1]))
             parts = [
-                self._costs(t[i : i + _BATCH], m[i : i + _BATCH] if len(m) > 1 else m)
-                for i in range(0, len(t), _BATCH)
+                self._costs(a, m[i * batch : (i + 1) * batch] if len(m) > 1 else m).to(dtype)
+                for i, a in enumerate(t.split(batch))
             ]
-        return torch.cat(parts).to(templates.dtype)
+        return torch.cat(parts)
 
     def _costs(self, t: Tensor, m: Tensor) -> Tensor:
         _, hz, wz = self.shape
@@ -277,8 +279,8 @@ class Qtp:
     coarsest level all positions are searched by the means of the cells, reduced to principal
     axes; the best go on to the next finer level, and the last few are ranked by their SSD. A
     distance at a level is a lower bound of the SSD: one coordinate more holds the norm of what
-    the axes leave out, and (|a| - |b|)^2 <= |a - b|^2. Without it flat patches, or grainy ones
-    where the zone is grainy, cannot be told from others.
+    the axes leave out, and (|a| - |b|)^2 <= |a - b|^2. Without it flat patches cannot be told
+    from grainy ones.
 
     Args:
         keep: how many go on from each level, the coarsest first; with two there are three levels.
@@ -298,7 +300,7 @@ class Qtp:
     """
 
     keep: tuple[int, ...] = (128, 24)
-    axes: int | None = 48
+    axes: int | None = 64
     matcher: Matcher = field(default_factory=Exact)
 
     def __post_init__(self) -> None:
@@ -338,10 +340,10 @@ class Qtp:
             axes = None if self.axes is None else _axes(levels[0], places, self.axes)
             batch = max(1, _FITTED // (c * len(levels[0].cells)))
             keys = torch.cat([_project(levels[0].at(p), axes) for p in places.split(batch)])
-            keys = _with_rest(keys, energy[energy.isfinite()])
-        return QtpIndex(
-            mask, mean, levels, self.keep, axes, positions, places, self.matcher.fit(keys)
-        )
+            energy = energy[energy.isfinite()]
+            keys = _with_rest(keys, energy)
+        index = self.matcher.fit(keys)
+        return QtpIndex(mask, mean, levels, self.keep, axes, positions, places, energy, index)
 
 
 @dataclass(frozen=True)
@@ -355,6 +357,7 @@ class QtpIndex:
         keep: how many go on from each level.
         axes: principal axes of the coarsest level, or None.
         positions, places: allowed positions, (row, column) and as places in a flat image.
+        energy: sum of squares of the zone at each of them.
         index: the search at the coarsest level.
     """
 
@@ -365,6 +368,7 @@ class QtpIndex:
     axes: Tensor | None
     positions: Tensor
     places: Tensor
+    energy: Tensor
     index: Index
 
     def search(
@@ -397,14 +401,34 @@ class QtpIndex:
             t = torch.where(self.mask, t - self.mean, 0)
             table = summed_area(t)
             queries = [level.of(t, table) for level in self.levels]
-            coarse = _with_rest(_project(queries[0], self.axes), t.square().sum((1, 2, 3)))
+            energy = t.square().sum((1, 2, 3))
+            coarse = _with_rest(_project(queries[0], self.axes), energy)
         found = self.index.search(coarse, self.keep[0])[1]
         with threads(1):
-            for level, query, count in zip(
-                self.levels[1:], queries[1:], (*self.keep[1:], k), strict=True
-            ):
-                costs, found = _best(level, query, self.places, found, count)
+            for i, count in enumerate((*self.keep[1:], k), start=1):
+                exact = i == len(self.keep)
+                costs, found = self._best(self.levels[i], queries[i], energy, found, count, exact)
         return costs, self.positions[found]
+
+    def _best(
+        self,
+        level: "_Level",
+        queries: Tensor,
+        energy: Tensor,
+        found: Tensor,
+        count: int,
+        exact: bool,
+    ) -> tuple[Tensor, Tensor]:
+        """The nearest of the positions found so far, by the cells of one level."""
+        costs = []
+        for i, candidates in enumerate(found):
+            query, keys = queries[i : i + 1], level.at(self.places[candidates])
+            if not exact:  # there the cells leave nothing out
+                query = _with_rest(query, energy[i : i + 1])
+                keys = _with_rest(keys, self.energy[candidates])
+            costs.append((keys - query).square().sum(1))
+        ranked, order = torch.stack(costs).sort(dim=1, stable=True)
+        return ranked[:, :count], found.gather(1, order[:, :count])
 
 
 @dataclass(frozen=True)
@@ -482,20 +506,6 @@ def _with_rest(keys: Tensor, energy: Tensor) -> Tensor:
     """Keys, and the norm of what they leave out of vectors of that energy."""
     rest = (energy - keys.square().sum(1)).clamp(min=0).sqrt()
     return torch.cat([keys, rest[:, None]], 1)
-
-
-def _best(
-    level: _Level, query: Tensor, places: Tensor, found: Tensor, count: int
-) -> tuple[Tensor, Tensor]:
-    """The nearest of the positions found so far, by the cells of this level."""
-    costs = torch.stack(
-        [
-            (level.at(places[candidates]) - q).square().sum(1)
-            for q, candidates in zip(query, found, strict=True)
-        ]
-    )
-    costs, order = costs.sort(dim=1, stable=True)
-    return costs[:, :count], found.gather(1, order[:, :count])
 
 
 def pick(
