@@ -20,7 +20,7 @@ from torch import Tensor
 import torchtex
 from torchtex import cli, data
 from torchtex import image as images
-from torchtex.cli import synth
+from torchtex.cli import base, synth
 from torchtex.labels import LabelField
 
 ROOT = Path(torchtex.__file__).parent.parent
@@ -346,6 +346,8 @@ BAD: list[tuple[str, tuple[str, ...]]] = [
     ("--steps", ("synth", "z.png", *X, "--steps", "many")),
     ("--threads", ("synth", "z.png", *X, "--threads", "0")),
     ("seed=-1", ("synth", "z.png", *X, "--seed", "-1")),
+    ("checkpoint=text.npz is not a checkpoint", ("synth", "z.png", *X, "--checkpoint", "text.npz")),
+    ("checkpoint='c.txt' must end in .npz", ("synth", "z.png", *X, "--checkpoint", "c.txt")),
     ("bits=12 must be 8 or 16", ("synth", "z.png", *X, "--bits", "12")),
     ("bits=16", ("synth", "z.png", *X, "-o", "x.jpg", "--bits", "16")),
     ("init='target.png' is in colour", ("synth", "grey.png", *X, "--init", "target.png")),
@@ -528,3 +530,35 @@ def test_an_interrupt_before_any_pixel_writes_nothing(
     assert done.err.strip() == "torchtex: interrupted"
     assert signal.getsignal(signal.SIGINT) is before
     assert not Path("x.png").exists()
+
+
+def test_an_interrupted_run_goes_on_from_its_checkpoint(
+    run: Run, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command = ("synth", "z.png", *SMALL, "--seed", "2")
+    assert run(*command, "-o", "whole.png").code == 0
+    seen: list[int] = []
+
+    class Watch(base.Watch):
+        def __call__(self, progress: Any) -> None:
+            super().__call__(progress)
+            seen.append(progress.level)
+            if progress.level == 1 and len(seen) < 5:
+                signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(base, "Watch", Watch)
+    again = (*command, "-o", "x.png", "--checkpoint", "c.npz")
+    assert run(*again).code == 130
+    assert Path("c.npz").exists()
+    assert not Path("x.png").exists()
+    seen[:] = [0] * 9
+    assert run(*again).code == 0
+    assert set(seen[9:]) == {1}
+    assert not Path("c.npz").exists()
+    both = [images.load(name).image for name in ("whole.png", "x.png")]
+    assert torch.equal(*both)
+    seen[:] = []
+    assert run(*again).code == 130
+    done = run(*again, "--r", "1")
+    assert done.code == 2
+    assert "resume: the checkpoint is of a run with r=0.8" in done.err

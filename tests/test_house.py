@@ -30,19 +30,21 @@ MODULES = sorted(
 # a module may import only those of rows above its own; "cli" stands for all modules of the package
 FLOORS = (
     ("image", "wavelets", "neighborhoods", "quadratic"),
-    ("data", "features", "matching", "sources"),
+    ("data", "features", "matching", "sources", "cuts.laplace"),
     ("energy", "metrics", "patches", "cuts.mincut", "cuts.poisson"),
     ("controls", "estep", "cuts.seams", "cuts.expansion"),
     ("model",),
     ("labels", "em"),
-    ("synthesize", "recipes.montage"),
+    ("schedule", "starts", "carry", "recipes.montage"),
+    ("result",),
+    ("synthesize",),
     ("recipes",),
     ("cli",),
 )
 FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}
 
 PUBLIC = {
-    "Auto", "Blocks", "Chunked", "ClosedForm", "Clustered", "Descend", "Exact", "Gradients",
+    "Auto", "Blocks", "Checkpoint", "Chunked", "ClosedForm", "Clustered", "Descend", "Exact", "Gradients",
     "Grid", "Guide", "HalfStep", "LabelField", "Level", "Objective", "Pixels", "Progress",
     "RandomNeighborhoods", "Result", "Search", "SoftConstraint", "Stack", "TextureEnergy",
     "TextureModel", "Wavelets", "data", "default_schedule", "em", "exact_search", "fast_search",

@@ -19,17 +19,12 @@ from torchtex.controls import Guide, SoftConstraint
 from torchtex.estep import Descend
 from torchtex.features import Gradients, Wavelets
 from torchtex.image import read_metadata
-from torchtex.model import exact_search
-from torchtex.synthesize import (
-    Blocks,
-    Level,
-    Progress,
-    RandomNeighborhoods,
-    Result,
-    default_schedule,
-    estimate_memory,
-    synthesize,
-)
+from torchtex.matching import Chunked
+from torchtex.model import Search, exact_search
+from torchtex.result import Checkpoint, Progress, Result
+from torchtex.schedule import Level, default_schedule
+from torchtex.starts import Blocks, RandomNeighborhoods
+from torchtex.synthesize import estimate_memory, synthesize
 
 QUICK = (Level(0.5, 8, 2), Level(1.0, 8, 2))
 
@@ -456,3 +451,83 @@ def test_the_examples_run() -> None:
     import sys
 
     assert doctest.testmod(sys.modules["torchtex.synthesize"]).failed == 0
+
+
+# ------------------------------------------------------------------------------ going on
+
+
+@pytest.mark.parametrize("options", [{}, {"feature": Gradients()}, {"carry": False}, {"seed": 3}])
+def test_a_run_goes_on_from_a_checkpoint_with_the_same_bits(
+    tmp_path: Path, options: dict[str, Any]
+) -> None:
+    kept: list[Checkpoint] = []
+    schedule = (*QUICK, Level(1.0, 6, 1))
+    whole = quick(stripes(), schedule=schedule, on_level=kept.append, **options)
+    assert [len(one.traces) for one in kept] == [1, 2, 3]
+    for one in kept:
+        one.save(tmp_path / "c.npz")
+        seen: list[Progress] = []
+        again = quick(
+            stripes(),
+            schedule=schedule,
+            resume=Checkpoint.load(tmp_path / "c.npz"),
+            on_step=seen.append,
+            **options,
+        )
+        assert torch.equal(again.texture, whole.texture)
+        assert torch.equal(again.labels, whole.labels)
+        assert again.energies == whole.energies
+        assert {step.level for step in seen} == set(range(len(one.traces), 3))
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("seed", {"seed": 4}),
+        ("r", {"r": 1.0}),
+        ("schedule", {"schedule": QUICK[1:]}),
+        ("size", {"size": (28, 36)}),
+        ("exemplars", {"exemplars": stripes(seed=5)}),
+    ],
+)
+def test_a_checkpoint_of_another_run_is_refused(name: str, options: dict[str, Any]) -> None:
+    kept: list[Checkpoint] = []
+    quick(stripes(), on_level=kept.append)
+    given = {"exemplars": stripes(), **options}
+    with pytest.raises(ValueError, match=f"resume: the checkpoint is of a run with {name}="):
+        quick(resume=kept[0], **given)
+
+
+def test_a_file_that_is_no_checkpoint_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "c.npz").write_bytes(b"no")
+    with pytest.raises(ValueError, match=r"checkpoint=.* is not a checkpoint"):
+        Checkpoint.load(tmp_path / "c.npz")
+    with pytest.raises(ValueError, match="no level is done"):
+        Checkpoint(0, {}, torch.zeros(1)).save(tmp_path / "d.npz")
+
+
+def test_settings_name_all_that_decides_the_pixels() -> None:
+    run = quick(stripes(), controls=[(0.5, SoftConstraint(noise(3, 28, 35), torch.ones(28, 35)))])
+    assert {"schedule", "estep", "controls", "guides", "masks", "exemplars"} <= set(run.settings)
+    assert run.settings["controls"] == [[0.5, "SoftConstraint"]]
+    json.dumps(dict(run.settings))
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"search": Search(Chunked())},
+        {"boundary": "periodic", "start": RandomNeighborhoods()},
+        {"feature": Wavelets("haar")},
+        {"masks": torch.ones(32, 32, dtype=torch.bool)},
+    ],
+)
+def test_a_run_on_an_accelerator_stays_there(options: dict[str, Any]) -> None:
+    given = {k: v.cuda() if isinstance(v, torch.Tensor) else v for k, v in options.items()}
+    run = quick(stripes().float().cuda(), schedule=(*QUICK, Level(1.0, 6, 1)), **given)
+    assert run.texture.is_cuda
+    assert run.labels.is_cuda
+    close = metrics.swd(run.texture.cpu(), stripes().float())
+    assert close < 2 * metrics.swd(quick(stripes().float(), **options).texture, stripes().float())

@@ -25,12 +25,13 @@ from .model import exact_search as exact_search
 from .model import fast_search as fast_search
 from .model import texture_model as texture_model
 from .neighborhoods import Grid as Grid
-from .synthesize import Blocks as Blocks
-from .synthesize import Level as Level
-from .synthesize import Progress as Progress
-from .synthesize import RandomNeighborhoods as RandomNeighborhoods
-from .synthesize import Result as Result
-from .synthesize import default_schedule as default_schedule
+from .result import Checkpoint as Checkpoint
+from .result import Progress as Progress
+from .result import Result as Result
+from .schedule import Level as Level
+from .schedule import default_schedule as default_schedule
+from .starts import Blocks as Blocks
+from .starts import RandomNeighborhoods as RandomNeighborhoods
 from .synthesize import synthesize as synthesize
 
 __version__: str

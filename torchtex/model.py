@@ -91,8 +91,16 @@ def label_space(
     shapes: Sequence[tuple[int, int]],
     size: int,
     masks: Sequence[Bool[Tensor, "_ _"] | None] | None = None,
+    *,
+    device: torch.device | None = None,
 ) -> LabelSpace:
     """Labels of every window of `size` pixels that lies inside an exemplar and its mask.
+
+    Args:
+        shapes: height and width of each exemplar.
+        size: of the windows.
+        masks: True where an exemplar may be used.
+        device: of the result; the CPU unless given.
 
     Example:
         >>> len(label_space([(10, 12)], 8))
@@ -113,7 +121,7 @@ def label_space(
             count += len(where)
         tables.append(table)
     every = torch.cat(positions) if positions else torch.zeros(0, 3, dtype=torch.long)
-    return LabelSpace(every, tuple(tables))
+    return LabelSpace(every.to(device), tuple(table.to(device) for table in tables))
 
 
 def _all_inside(mask: Tensor, size: int) -> Tensor:
@@ -215,8 +223,8 @@ class TextureModel:
     def _coherent(self, labels: Tensor) -> Tensor:
         """The labels of the four neighbors, shifted; its own where that leaves the exemplar."""
         ny, nx = self.grid.shape
-        sites = self.grid.sites
-        place = torch.arange(ny * nx).view(ny, nx)
+        sites = self.grid.sites.to(labels.device)
+        place = torch.arange(ny * nx, device=labels.device).view(ny, nx)
         out = []
         for dim, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
             near = place.roll(step, dim).flatten()
@@ -305,12 +313,10 @@ def strips(images: Sequence[Float[Tensor, "k _ _"]], space: LabelSpace, size: in
     k = images[0].shape[0]
     flat = torch.cat([z.permute(1, 2, 0).reshape(-1) for z in images])
     table = flat.as_strided((len(flat) // k - size + 1, size * k), (k, 1))
+    which, row, col = space.positions.to(flat.device).unbind(1)
     areas = torch.tensor([0, *(z.shape[1] * z.shape[2] for z in images)]).cumsum(0)
-    widths = torch.tensor([z.shape[2] for z in images])
-    which, row, col = space.positions.unbind(1)
-    starts = areas[which] + row * widths[which] + col
-    device = flat.device
-    return Strips(table, starts.to(device), widths[which].to(device), size)
+    widths = torch.tensor([z.shape[2] for z in images]).to(which)[which]
+    return Strips(table, areas.to(which)[which] + row * widths + col, widths, size)
 
 
 def texture_model(
@@ -349,7 +355,8 @@ def texture_model(
     feature = Pixels() if feature is None else feature
     search = fast_search() if search is None else search
     generator = torch.Generator().manual_seed(0) if generator is None else generator
-    space = label_space([(z.shape[1], z.shape[2]) for z in exemplars], grid.size, masks)
+    shapes = [(z.shape[1], z.shape[2]) for z in exemplars]
+    space = label_space(shapes, grid.size, masks, device=exemplars[0].device)
     if not len(space):
         raise ValueError(
             f"exemplar: no whole unmasked window of size={grid.size} fits; "

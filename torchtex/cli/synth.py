@@ -111,7 +111,7 @@ class Recipe:
 
     def levels(self) -> Sequence[Any]:
         """The schedule as `Level`s, with `steps` in place of its own iterations when given."""
-        from torchtex.synthesize import Level, default_schedule
+        from torchtex.schedule import Level, default_schedule
 
         if self.schedule is None:
             return default_schedule(self.steps)
@@ -190,6 +190,13 @@ def synth(
     bits: Bits = 8,
     labels: Labels = None,
     report: Report = None,
+    checkpoint: Annotated[
+        Path | None,
+        typer.Option(
+            help=".npz to write after each level, and to go on from when it is there; deleted at "
+            "the end."
+        ),
+    ] = None,
     keep_partial: KeepPartial = False,
     quiet: Quiet = False,
 ) -> None:
@@ -214,7 +221,7 @@ def synth(
         device=device,
         bits=bits,
     )
-    run(recipe, output, labels, report, threads, keep_partial, quiet)
+    run(recipe, output, labels, report, threads, keep_partial, quiet, checkpoint=checkpoint)
 
 
 def run(
@@ -226,17 +233,24 @@ def run(
     keep_partial: bool,
     quiet: bool,
     source: Path | None = None,
+    checkpoint: Path | None = None,
 ) -> None:
     """Synthesizes and writes; all that can be refused is refused before work starts."""
     import torch
 
     import torchtex
     from torchtex import image as images
-    from torchtex.synthesize import Blocks, RandomNeighborhoods, synthesize
+    from torchtex.result import Checkpoint
+    from torchtex.starts import Blocks, RandomNeighborhoods
+    from torchtex.synthesize import synthesize
 
     files = recipe.files()
     check_output(output, [*files.values(), *([] if source is None else [source])])
-    for path, suffix, name in ((labels, ".npz", "labels"), (report, ".json", "report")):
+    for path, suffix, name in (
+        (labels, ".npz", "labels"),
+        (report, ".json", "report"),
+        (checkpoint, ".npz", "checkpoint"),
+    ):
         if path is not None:
             images.check_writable(path, suffixes=(suffix,), name=name)
     if not holds(output, 3, recipe.bits):
@@ -251,6 +265,9 @@ def run(
         "options": asdict(recipe),
         "files": {name: sha256(path) for name, path in files.items() if path.is_file()},
     }
+    resume = None
+    if checkpoint is not None and checkpoint.exists():
+        resume = Checkpoint.load(checkpoint)
     inputs = _load(recipe, device)
     if Interrupts.seen:  # and swallowed by an import, say
         raise KeyboardInterrupt
@@ -271,6 +288,8 @@ def run(
                 controls=inputs.controls,
                 seed=recipe.seed,
                 on_step=watch,
+                on_level=None if checkpoint is None else lambda state: state.save(checkpoint),
+                resume=resume,
             )
         except (KeyboardInterrupt, Exception) as error:
             if not Interrupts.seen and not isinstance(error, KeyboardInterrupt):
@@ -290,6 +309,8 @@ def run(
     if report is not None:
         with images.atomic_write(report, name="report") as temporary:
             temporary.write_text(json.dumps(about, indent=2) + "\n")
+    if checkpoint is not None:
+        checkpoint.unlink(missing_ok=True)
     print(output)
 
 
