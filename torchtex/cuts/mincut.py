@@ -13,6 +13,7 @@ Apache-2.0: which one to install is your choice.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -293,18 +294,22 @@ def _problem(unary: Tensor, edges: Tensor, capacity: Tensor) -> _Problem:
 def _grid_problem(unary: Tensor, right: Tensor, down: Tensor) -> _Problem:
     _check_grid(unary, right, down)
     h, w = unary.shape[:2]
-    node = np.arange(h * w).reshape(h, w)
     groups = []
     for axis, name, costs in ((1, "right", right), (0, "down", down)):
-        if unary.shape[axis] < 2:
-            continue  # an edge from a pixel to itself is never cut
-        kept = slice(costs.shape[axis])
-        at = (slice(None), kept) if axis else (kept, slice(None))
-        head = np.roll(node, -1, axis)[at] if costs.shape[axis] == node.shape[axis] else None
-        if head is None:
-            head = node[:, 1:] if axis else node[1:]
-        groups.append((node[at].ravel(), head.ravel(), _capacities(costs, name)))
+        both = _capacities(costs, name)
+        if unary.shape[axis] > 1:  # else an edge from a pixel to itself, which is never cut
+            groups.append((*_neighbours(h, w, axis, costs.shape[axis]), both))
     return _summed(_gain(unary), groups)
+
+
+@lru_cache(maxsize=8)
+def _neighbours(h: int, w: int, axis: int, count: int) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Nodes of the pairs along an axis; kept, since a recipe cuts many grids of one size."""
+    node = np.arange(h * w).reshape(h, w)
+    both = node, np.roll(node, -1, axis)
+    tail, head = (x[:, :count].ravel() if axis else x[:count].ravel() for x in both)
+    tail.flags.writeable = head.flags.writeable = False
+    return tail, head
 
 
 def _check_grid(unary: Tensor, right: Tensor, down: Tensor) -> None:
