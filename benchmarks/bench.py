@@ -19,6 +19,7 @@ from pathlib import Path
 
 import torch
 from exemplars import add_argument, crop, default_folder, load
+from tables import render
 
 import torchtex
 from torchtex import metrics
@@ -239,6 +240,7 @@ def main():
     for section in options.sections.split(","):
         report[section] = sections[section]()
         file.write_text(json.dumps(report, indent=1))
+        file.with_suffix(".md").write_text(render(report))
     return None
 
 
