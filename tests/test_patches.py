@@ -5,6 +5,7 @@ import torch
 from conftest import noise, stripes
 from torch import Tensor
 
+from torchtex import patches
 from torchtex.matching import Chunked, Clustered, Exact
 from torchtex.patches import (
     Qtp,
@@ -69,7 +70,8 @@ def test_perfect_matches_cost_nothing_and_tie() -> None:
     assert int((costs == 0).sum()) == 4
 
 
-def test_a_batch_is_its_templates_one_by_one() -> None:
+def test_a_batch_is_its_templates_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(patches, "_TRANSFORMED", 7 * 3 * 20 * 24)  # seven at a time
     z, t = noise(3, 20, 22, seed=9), noise(20, 3, 6, 5, seed=10)
     masks = noise(20, 6, 5, seed=11) > 0.5
     search = ssd_search(z)
