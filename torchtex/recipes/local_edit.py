@@ -61,7 +61,7 @@ class Stroke:
             that is none.
 
     Example:
-        >>> Stroke(brush((32, 32), [(8, 8), (8, 12)], 3), (10, -4), rotation=90).scale
+        >>> Stroke(brush((32, 32), [(8.0, 8.0), (8.0, 12.0)], 3.0), (10, -4), rotation=90.0).scale
         1.0
     """
 
@@ -176,8 +176,8 @@ def edit(
     Source: Shen et al. 2010, section 3.2.
 
     Example:
-        >>> image = torch.rand(3, 40, 40)
-        >>> done = edit(image, [Stroke(brush((40, 40), [(12, 12)], 4), (14, 12))], poisson=False)
+        >>> image, mark = torch.rand(3, 40, 40), brush((40, 40), [(12.0, 12.0)], 4.0)
+        >>> done = edit(image, [Stroke(mark, (14, 12))], poisson=False)
         >>> torch.equal(done.texture[:, 26, 24], image[:, 12, 12]), int(done.patches.max())
         (True, 1)
     """
@@ -228,7 +228,7 @@ def brush(size: tuple[int, int], path: Points, radius: float) -> Bool[Tensor, "h
         ValueError: no path, no radius, or nothing painted inside the image.
 
     Example:
-        >>> brush((3, 5), [(1, 1), (1, 3)], 0.5).int().tolist()
+        >>> brush((3, 5), [(1.0, 1.0), (1.0, 3.0)], 0.5).int().tolist()
         [[0, 0, 0, 0, 0], [0, 1, 1, 1, 0], [0, 0, 0, 0, 0]]
     """
     if not 0 < radius < math.inf:
@@ -257,7 +257,7 @@ def polygon(size: tuple[int, int], points: Points) -> Bool[Tensor, "h w"]:
         ValueError: less than three corners, or nothing painted inside the image.
 
     Example:
-        >>> polygon((3, 3), [(-1, -1), (-1, 1.5), (3, 1.5), (3, -1)])[0].tolist()
+        >>> polygon((3, 3), [(-1.0, -1.0), (-1.0, 1.5), (3.0, 1.5), (3.0, -1.0)])[0].tolist()
         [True, True, False]
     """
     if len(points) < 3:
