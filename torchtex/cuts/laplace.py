@@ -28,10 +28,7 @@ def bounding_box(mask: Bool[Tensor, "h w"]) -> tuple[slice, slice]:
         (slice(0, 2, None), slice(1, 3, None))
     """
     rows, cols = mask.any(1).nonzero(), mask.any(0).nonzero()
-    return (
-        slice(int(rows[0]), int(rows[-1]) + 1),
-        slice(int(cols[0]), int(cols[-1]) + 1),
-    )
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1)
 
 
 # Rectangles: the eigenvectors along an axis are sines where the image is held beyond both ends,
@@ -150,22 +147,29 @@ class _Level:
     periodic: bool
 
     def apply(self, u: Tensor) -> Tensor:
-        out = self.diagonal * u
+        """A u."""
+        return self._neighbours(self.diagonal * u, u, -1)
+
+    def residual(self, u: Tensor, b: Tensor) -> Tensor:
+        """b - A u."""
+        return self._neighbours(torch.addcmul(b, self.diagonal, u, value=-1), u, 1)
+
+    def _neighbours(self, out: Tensor, u: Tensor, sign: int) -> Tensor:
         for dim, weight in ((-1, self.right), (-2, self.down)):
             count = u.shape[dim] - 1
             for here, there in ((0, 1), (1, 0)):
                 other = u.narrow(dim, there, count)
                 edges = weight.narrow(dim, 0, count)
-                out.narrow(dim, here, count).addcmul_(edges, other, value=-1)
+                out.narrow(dim, here, count).addcmul_(edges, other, value=sign)
                 if self.periodic:
                     other = u.narrow(dim, count * here, 1)
                     edges = weight.narrow(dim, count, 1)
-                    out.narrow(dim, count * there, 1).addcmul_(edges, other, value=-1)
+                    out.narrow(dim, count * there, 1).addcmul_(edges, other, value=sign)
         return out
 
     def smooth(self, u: Tensor, b: Tensor) -> None:
         """One damped Jacobi step, in place."""
-        u.addcmul_(self.scale, b - self.apply(u))
+        u.addcmul_(self.scale, self.residual(u, b))
 
     def coarser(self) -> "_Level":
         """Every 2 x 2 pixels become one.
@@ -226,7 +230,7 @@ def _cycle(levels: Sequence[_Level], b: Tensor) -> Tensor:
         level.smooth(u, b)
     if not coarser:
         return u
-    left = F.avg_pool2d(b - level.apply(u), 2, ceil_mode=True, divisor_override=1)
+    left = F.avg_pool2d(level.residual(u, b), 2, ceil_mode=True, divisor_override=1)
     step = F.interpolate(_cycle(coarser, left)[None], scale_factor=2)[0]
     u += step[..., : u.shape[-2], : u.shape[-1]]
     for _ in range(2):
@@ -283,18 +287,18 @@ def _conjugate(levels: Sequence[_Level], b: Tensor, tolerance: float, steps: int
     finest, x = levels[0], torch.zeros_like(b)
     enough = tolerance**2 * dot(b, b)
     for _ in range(3):
-        residual = b - finest.apply(x)
+        residual = finest.residual(x, b)
         direction, gain = torch.zeros_like(b), b.new_ones(())
         while steps > 0 and bool(dot(residual, residual) > enough):
             steps -= 1
             z = _cycle(levels, residual)
             gain, before = dot(residual, z), gain
-            direction = z.add_(direction * (gain / before))
+            direction = z.addcmul_(gain / before, direction)
             image = finest.apply(direction)
             curvature = dot(direction, image)
             if not bool(curvature > 0):  # what is left is rounding
                 return x
             step = gain / curvature
-            x += step * direction
-            residual -= step * image
+            x.addcmul_(step, direction)
+            residual.addcmul_(step, image, value=-1)
     return x
