@@ -6,13 +6,16 @@ Sections:
   ready float64 arrays (nodes, terminal edges, `add_edges`, maxflow, segments), and OR-Tools.
   `denoise` has costs everywhere and short paths; `seam` has two fixed regions and long ones.
 - `patch`: one placement of a 128 x 128 patch on a canvas of many patches (`cut_patch`).
-- `quilt`: cost of the seam of one min-cut over that of two dynamic-programming paths.
+- `quilt`: cost of the seam of one min-cut over that of two dynamic-programming paths, by the
+  colour differences that the cut minimises (the paths minimise squared ones, pixel by pixel).
 - `expansion`: alpha-expansion on 64 x 64 nodes and 20 labels.
 
-Rivals take turns in one process; times are CPU seconds of one thread, medians of the repeats.
+Rivals take turns in one process. Times are CPU milliseconds of one thread, median and spread of
+the repeats; overheads compare the least times, which bear a busy machine best.
 """
 
 import argparse
+import ctypes
 import json
 import os
 import platform
@@ -34,6 +37,7 @@ from torchtex.cuts.mincut import OrTools, PyMaxflow, cut_energy, cut_grid, grid_
 from torchtex.cuts.seams import (
     cut_patch,
     patch_views,
+    quilt_costs,
     quilt_cut,
     quilt_mask,
     seam_costs,
@@ -56,6 +60,15 @@ def in_turn(works, repeats):
         name: {"median": statistics.median(ms), "least": min(ms), "most": max(ms)}
         for name, ms in spent.items()
     }
+
+
+def keep_memory():
+    """Freed memory stays with the process: page faults would be charged to whoever comes next."""
+    if platform.libc_ver()[0] == "glibc":
+        trim_threshold, mmap_max = -1, -4
+        libc = ctypes.CDLL(None)
+        libc.mallopt(trim_threshold, 2**30)
+        libc.mallopt(mmap_max, 0)
 
 
 def smooth_noise(side, seed, channels=1):
@@ -110,30 +123,31 @@ def mincut(_, repeats):
             ready = [x.numpy() for x in (unary.nan_to_num(posinf=big), right, down)]
             single = [x.float() for x in (unary, right, down)]
             edges = grid_edges(side, side, side - 1, side - 1)
-            capacity = torch.cat([right.flatten(0, 1), down.flatten(0, 1)])
+            flat = unary.flatten(0, 1), edges, torch.cat([right.flatten(0, 1), down.flatten(0, 1)])
             ours, other = PyMaxflow(), OrTools()
             works = {
                 "bare": lambda r=ready: bare(*r),
                 "grid": lambda p=(unary, right, down), s=ours: cut_grid(*p, s),
                 "grid32": lambda p=single, s=ours: cut_grid(*p, s),
-                "edges": lambda p=(unary.flatten(0, 1), edges, capacity), s=ours: s(*p),
+                "edges": lambda p=flat, s=ours: s(*p),
             }
-            row = {"kind": kind.__name__, "side": side, "ms": in_turn(works, repeats)}
+            row = {"kind": kind.__name__, "side": side}
+            row["ms"] = in_turn(works, repeats * 512 // side)
             few = max(1, repeats // 4)
             works = {"ortools": lambda p=(unary, right, down), s=other: cut_grid(*p, s)}
             row["ms"] |= in_turn(works, few)
             labels = cut_grid(unary, right, down, ours)
             assert np.array_equal(labels.numpy(), bare(*ready))
             costs = [
-                float(cut_energy(x.flatten(), unary.flatten(0, 1), edges, capacity))
+                float(cut_energy(x.flatten(), *flat))
                 for x in (labels, cut_grid(unary, right, down, other))
             ]
             row["cost"], row["ortools_excess"] = costs[0], costs[1] / costs[0] - 1
             for name in ("grid", "grid32", "edges", "ortools"):
-                row[name] = row["ms"][name]["median"] / row["ms"]["bare"]["median"] - 1
+                row[name] = row["ms"][name]["least"] / row["ms"]["bare"]["least"] - 1
             rows.append(row)
             print(
-                f"mincut {kind.__name__} {side}: bare {row['ms']['bare']['median']:.1f} ms, grid "
+                f"mincut {kind.__name__} {side}: bare {row['ms']['bare']['least']:.1f} ms, grid "
                 f"{100 * row['grid']:+.1f} %, float32 {100 * row['grid32']:+.1f} %, edges "
                 f"{100 * row['edges']:+.1f} %, OR-Tools {1 + row['ortools']:.1f}x",
                 flush=True,
@@ -165,13 +179,13 @@ def patch(photos, repeats):
             new = draw()
             canvas = torch.where(cut_patch(canvas, new, border, middle), new, canvas)
         new = draw()
-        works = {
-            f"{key}{' gradient' if gradient else ''}": lambda c=canvas, n=new, m=middle, b=border, g=gradient, s=solver: (
-                cut_patch(c, n, b, m, gradient=g, solver=s)
+        placed = (canvas, new, border, middle)
+        works = {}
+        for key, solver in (("pymaxflow", PyMaxflow()), ("ortools", OrTools())):
+            works[key] = lambda p=placed, s=solver: cut_patch(*p, solver=s)
+            works[f"{key} gradient"] = lambda p=placed, s=solver: cut_patch(
+                *p, gradient=True, solver=s
             )
-            for key, solver in (("pymaxflow", PyMaxflow()), ("ortools", OrTools()))
-            for gradient in (False, True)
-        }
         rows.append({"exemplar": name, "ms": in_turn(works, repeats)})
         medians = {key: round(ms["median"], 1) for key, ms in rows[-1]["ms"].items()}
         print(f"patch {name}: {medians}", flush=True)
@@ -189,13 +203,12 @@ def quilt(photos, repeats):
         for _ in range(20):
             at = [[int(torch.randint(n, (1,), generator=generator)) for n in room] for _ in "on"]
             old, new = (z[:, i : i + size, j : j + size] for i, j in at)
-            costs = seam_costs(old, new)
-            path = quilt_mask(old, new, width, width)
-            cut = quilt_cut(old, new, width, width)
+            block = (old, new, width, width)
+            costs, path, cut = quilt_costs(*block), quilt_mask(*block), quilt_cut(*block)
             ratios.append(float(seam_energy(cut, *costs) / seam_energy(path, *costs)))
         works = {
-            "paths": lambda a=old, b=new: quilt_mask(a, b, width, width),
-            "cut": lambda a=old, b=new: quilt_cut(a, b, width, width),
+            "paths": lambda b=block: quilt_mask(*b),
+            "cut": lambda b=block: quilt_cut(*b),
         }
         row = {"exemplar": name, "ratio": statistics.median(ratios), "ms": in_turn(works, repeats)}
         rows.append(row)
@@ -238,6 +251,7 @@ def main():
     parser.add_argument("--sections", default="mincut,patch,quilt,expansion")
     options = parser.parse_args()
     torch.set_num_threads(1)
+    keep_memory()
     folder = options.exemplars or default_folder()
     photos = {path.stem: load(path) for path in sorted(Path(folder).glob("*.png"))}
     sections = {"mincut": mincut, "patch": patch, "quilt": quilt, "expansion": expansion}

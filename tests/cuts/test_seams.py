@@ -18,6 +18,7 @@ from torchtex.cuts.seams import (
     dp_seam,
     patch_views,
     present_seams,
+    quilt_costs,
     quilt_cut,
     quilt_mask,
     seam_costs,
@@ -274,8 +275,20 @@ def test_the_min_cut_of_a_quilt_costs_no_more_than_its_paths(
             assert mask[~overlap].all()
             assert not mask[:, : min(left, 1)].any()
             assert not mask[: min(top, 1)].any()
-        costs = seam_costs(torch.where(overlap, old, new), new, gradient=gradient)
+        costs = quilt_costs(old, new, left, top, gradient=gradient)
         assert seam_energy(by_cut, *costs) <= seam_energy(by_path, *costs) * (1 + 1e-12)
+
+
+def test_quilt_costs_are_those_of_the_overlap_and_go_on_beyond_it() -> None:
+    old, new = noise(3, 9, 8), noise(3, 9, 8, seed=1)
+    right, down = quilt_costs(old, new, 4, 3)
+    inside = seam_costs(old, new)
+    assert torch.equal(right[:, :3], inside[0][:, :3])
+    assert torch.equal(down[:2], inside[1][:2])
+    apart = (old - new).norm(dim=0)
+    torch.testing.assert_close(right[4:, 3], 2 * apart[4:, 3])
+    torch.testing.assert_close(down[2, 4:], 2 * apart[2, 4:])
+    assert not right[5:, 5:].any()
 
 
 def test_dtype_and_repetition() -> None:

@@ -303,6 +303,37 @@ def quilt_mask(
     return mask
 
 
+def quilt_costs(
+    old: Float[Tensor, "c h w"],
+    new: Float[Tensor, "c h w"],
+    left: int,
+    top: int,
+    *,
+    gradient: bool = False,
+) -> tuple[Float[Tensor, "h w_"], Float[Tensor, "h_ w"]]:
+    """The costs of `seam_costs` for a block of a quilt.
+
+    Beyond the overlap there is no old picture; it is taken to differ from the new one there as
+    it does at the last pixel before, so that a seam along the edge of the overlap is not cheap.
+
+    Raises:
+        ValueError: an overlap larger than the block.
+
+    Example:
+        >>> right, _ = quilt_costs(torch.ones(1, 1, 4), torch.zeros(1, 1, 4), 2, 0)
+        >>> right.tolist()
+        [[2.0, 2.0, 1.0]]
+    """
+    h, w = new.shape[1:]
+    overlap = _overlap(new, left, top)
+    apart = torch.where(overlap, old - new, torch.zeros_like(new))
+    if 0 < left < w:
+        apart[:, top:, left] = apart[:, top:, left - 1]
+    if 0 < top < h:
+        apart[:, top, left:] = apart[:, top - 1, left:]
+    return seam_costs(new + apart, new, gradient=gradient)
+
+
 def quilt_cut(
     old: Float[Tensor, "c h w"],
     new: Float[Tensor, "c h w"],
@@ -312,7 +343,7 @@ def quilt_cut(
     gradient: bool = False,
     solver: MinCut | None = None,
 ) -> Bool[Tensor, "h w"]:
-    """The same as `quilt_mask` by one min-cut through the whole overlap.
+    """The same as `quilt_mask` by one min-cut through the whole overlap, of `quilt_costs`.
 
     The outermost column of the left overlap and the outermost row of the top overlap stay old.
 
@@ -324,11 +355,11 @@ def quilt_cut(
         >>> quilt_cut(torch.rand(3, 6, 6), block, 2, 0)[:, 0].any().item()
         False
     """
+    right, down = quilt_costs(old, new, left, top, gradient=gradient)
     overlap = _overlap(new, left, top)
     first = torch.zeros_like(overlap)
     first[:, : min(left, 1)] = True
     first[: min(top, 1)] = True
-    right, down = seam_costs(torch.where(overlap, old, new), new, gradient=gradient)
     return cut_seam(right, down, first, ~overlap, solver=solver)
 
 
