@@ -255,6 +255,7 @@ def test_metrics(run: Run, here: Path) -> None:
 
 def test_info(run: Run) -> None:
     values = json.loads(run("info", "--json").out)
+    assert {"pymaxflow", "ortools"} <= set(values["min-cut"])
     assert values["versions"]["torchtex"] == torchtex.__version__
     assert values["devices"][0] == "cpu"
     assert values["exemplars"] == list(data.names())

@@ -61,6 +61,7 @@ def _info() -> dict[str, Any]:
 
     import torchtex
     from torchtex import data
+    from torchtex.cuts.mincut import solvers
     from torchtex.matching import _faiss
 
     versions = {"torchtex": torchtex.__version__, "python": platform.python_version()}
@@ -85,6 +86,9 @@ def _info() -> dict[str, Any]:
         "extras": {
             extra: "installed" if all(find_spec(module) for module in modules) else "missing"
             for extra, modules in EXTRAS.items()
+        },
+        "min-cut": {
+            name: "installed" if there else "missing" for name, there in solvers().items()
         },
         "exemplars": list(data.names()),
     }
