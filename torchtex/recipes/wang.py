@@ -146,7 +146,16 @@ class WangSet:
             >>> wang_tiles(torch.rand(3, 32, 32), tile=16).atlas().shape
             torch.Size([3, 32, 64])
         """
-        return self.lay(torch.arange(len(self.tiles)).view(self.grid)).texture
+        return self.sheet().texture
+
+    def sheet(self) -> Montage:
+        """The atlas, and where its pixels came from.
+
+        Example:
+            >>> wang_tiles(torch.rand(3, 32, 32), tile=16).sheet().source_map.shape
+            torch.Size([32, 64, 3])
+        """
+        return self.lay(torch.arange(len(self.tiles)).view(self.grid))
 
     def lay(self, chosen: Int[Tensor, "rows cols"]) -> Montage:
         """Tiles side by side, by their numbers; nothing is asked of their edges.
