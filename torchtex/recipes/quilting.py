@@ -1,0 +1,515 @@
+"""Image quilting: square blocks side by side, with the best seam in their overlaps.
+
+`quilt` makes a texture, `transfer` a texture that shows a target picture.
+Source: Efros and Freeman 2001, Image quilting for texture synthesis and transfer.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from torchtex.cuts.mincut import MinCut
+from torchtex.cuts.seams import cut_patch, patch_views, quilt_mask
+from torchtex.image import check_image, luminance
+from torchtex.model import LabelSpace, label_space
+from torchtex.patches import SsdSearch, pick, ssd_search
+from torchtex.quadratic import threads
+from torchtex.recipes.montage import Montage, Stage
+from torchtex.sources import check_maps, copied
+
+Exemplars = Float[Tensor, "c _ _"] | Sequence[Float[Tensor, "c _ _"]]
+Masks = Bool[Tensor, "_ _"] | Sequence[Bool[Tensor, "_ _"] | None] | None
+Window = tuple[slice, slice]
+_SHARE = 0.28  # of the exemplar's side is a block's, unless given
+_NEAR = 2  # pixels around a continuation that count as one
+
+
+@dataclass(frozen=True)
+class Correspondence:
+    """What a block of the exemplar and the target's pixels under it should have in common.
+
+    Args:
+        exemplars: (k, hz, wz) maps, one for each exemplar.
+        target: (k, h, w) map of the target.
+
+    Example:
+        >>> Correspondence((torch.zeros(1, 8, 8),), torch.zeros(1, 6, 6)).target.shape
+        torch.Size([1, 6, 6])
+    """
+
+    exemplars: tuple[Tensor, ...]
+    target: Float[Tensor, "k h w"]
+
+    def __post_init__(self) -> None:
+        for image in (*self.exemplars, self.target):
+            check_image(image, "correspondence")
+            if len(image) != len(self.target):
+                raise ValueError(
+                    f"correspondence: {len(image)} channels for an exemplar and "
+                    f"{len(self.target)} for the target; give both the same"
+                )
+
+    def check(self, exemplars: Sequence[Tensor], size: tuple[int, int]) -> None:
+        """Refuses maps that are not aligned with the exemplars, or with a target of that size.
+
+        Raises:
+            ValueError: in one sentence, what is wrong.
+        """
+        check_maps(self.exemplars, [(z.shape[1], z.shape[2]) for z in exemplars])
+        if tuple(self.target.shape[1:]) != tuple(size):
+            raise ValueError(
+                f"correspondence of the target is {self.target.shape[1]}x{self.target.shape[2]} "
+                f"and the target {size[0]}x{size[1]}; give a map of the size of the target"
+            )
+
+
+def blurred_luminance(
+    exemplars: Sequence[Float[Tensor, "_ _ _"]],
+    target: Float[Tensor, "_ h w"],
+    *,
+    sigma: float = 1.5,
+    match: bool = True,
+) -> Correspondence:
+    """Lightness of both, blurred, as the correspondence of a transfer.
+
+    Args:
+        sigma: standard deviation of the Gaussian, in pixels.
+        match: give the target the exemplars' distribution of lightness, rank by rank, so that
+            the darkest of the one stands for the darkest of the other.
+
+    Raises:
+        ValueError: sigma is not above 0.
+
+    Example:
+        >>> found = blurred_luminance([torch.rand(3, 16, 16)], torch.rand(1, 20, 24))
+        >>> found.target.shape
+        torch.Size([1, 20, 24])
+    """
+    from kornia.filters import gaussian_blur2d
+
+    if not 0 < sigma < float("inf"):
+        raise ValueError(f"sigma={sigma} must be above 0, and finite")
+    width = 2 * round(3 * sigma) + 1
+
+    def blurred(image: Tensor) -> Tensor:
+        grey = luminance(image)[None, None]
+        return gaussian_blur2d(grey, (width, width), (sigma, sigma), border_type="replicate")[0]
+
+    theirs = tuple(blurred(z) for z in exemplars)
+    ours = blurred(target.to(exemplars[0]))
+    if match:
+        values = torch.cat([z.flatten() for z in theirs]).sort().values
+        rank = ours.flatten().argsort(stable=True).argsort()
+        place = (rank + 0.5) * (len(values) / len(rank))
+        ours = values[place.long().clamp(max=len(values) - 1)].view_as(ours)
+    return Correspondence(theirs, ours)
+
+
+def quilt(
+    exemplars: Exemplars,
+    size: tuple[int, int],
+    *,
+    block: int | None = None,
+    overlap: int | None = None,
+    tolerance: float = 0.1,
+    cut: Literal["dp", "mincut"] = "dp",
+    solver: MinCut | None = None,
+    continuing: bool = False,
+    masks: Masks = None,
+    seed: int = 0,
+    on_step: Callable[[Stage], None] | None = None,
+) -> Montage:
+    """A texture of blocks that agree with those before them where they overlap.
+
+    Blocks are laid row by row. Each is drawn from those whose squared error in the overlaps is
+    at most (1 + tolerance) times the least, and joins the texture along a seam of least error.
+
+    Args:
+        exemplars: one image, or several with equal channels.
+        size: (height, width) of the texture.
+        block: side of a block; None for 0.28 of the shortest side of the exemplars.
+        overlap: of neighbors; None for a sixth of the block.
+        cut: "dp" for two paths, as in the paper, or "mincut" for one cut of any shape.
+        solver: of "mincut"; None for the first one that is installed.
+        continuing: also allow the block that goes on in the exemplar where a neighbor ends. It
+            fits without error, so it nearly always wins: large pieces are then copied whole.
+        masks: True where an exemplar may be used; one per exemplar.
+        on_step: called after every row of blocks; may raise to cancel.
+
+    Raises:
+        ValueError: an option out of range, or a block that fits nowhere.
+
+    Source: Efros and Freeman 2001, section 2; leaving continuations out is ours.
+
+    Example:
+        >>> result = quilt(torch.rand(3, 32, 32), (40, 50), block=12, overlap=3)
+        >>> result.texture.shape
+        torch.Size([3, 40, 50])
+    """
+    started = time.perf_counter()
+    zs, keep = _checked(exemplars, masks)
+    layout = _layout(zs, size, block, overlap)
+    maker = _maker(zs, keep, tolerance, cut, solver, seed, continuing)
+    with threads(1):  # the pieces are small
+        sheet = maker.lay(layout, _Errors(), _reporter(on_step, "blocks", 0, 1))
+    settings = {"recipe": "quilt", "continuing": continuing}
+    return _montage(sheet, maker, layout, started, seed, settings)
+
+
+def transfer(
+    exemplars: Exemplars,
+    target: Float[Tensor, "_ h w"],
+    *,
+    correspondence: Correspondence | None = None,
+    block: int | None = None,
+    overlap: int | None = None,
+    iterations: int = 3,
+    tolerance: float = 0.1,
+    cut: Literal["dp", "mincut"] = "dp",
+    solver: MinCut | None = None,
+    masks: Masks = None,
+    seed: int = 0,
+    on_step: Callable[[Stage], None] | None = None,
+) -> Montage:
+    """The target, rendered in the texture of the exemplars.
+
+    As `quilt`, but the error of a block is alpha times the squared error in the overlaps plus
+    1 - alpha times that of the correspondence, both per channel. Iteration i of N has
+    alpha = 0.8 (i - 1) / (N - 1) + 0.1 (0.1 when N = 1) and blocks a third smaller than the one
+    before; it also compares the rest of a block with what the one before made there.
+
+    Args:
+        exemplars: one image, or several with equal channels.
+        target: any number of channels; the texture gets its size.
+        correspondence: None for `blurred_luminance`.
+        block: side of a block in the first iteration; None as in `quilt`.
+        overlap: of neighbors in the first iteration; None for a sixth of the block.
+        iterations: how many passes.
+        tolerance, cut, solver, masks, on_step: as in `quilt`.
+
+    Raises:
+        ValueError: an option out of range, a block that fits nowhere, or maps of other sizes.
+
+    Source: Efros and Freeman 2001, section 3.
+
+    Example:
+        >>> result = transfer(torch.rand(3, 24, 24), torch.rand(1, 20, 30), iterations=2)
+        >>> result.texture.shape
+        torch.Size([3, 20, 30])
+    """
+    started = time.perf_counter()
+    zs, keep = _checked(exemplars, masks)
+    check_image(target, "target")
+    size = (target.shape[1], target.shape[2])
+    first = _layout(zs, size, block, overlap)
+    if iterations < 1:
+        raise ValueError(f"iterations={iterations} must be at least 1")
+    maker = _maker(zs, keep, tolerance, cut, solver, seed, True)
+    maps = blurred_luminance(zs, target) if correspondence is None else correspondence
+    maps.check(zs, size)
+    wanted = tuple(ssd_search(z.to(zs[0])) for z in maps.exemplars)
+    errors, sheet = _Errors(), None
+    with threads(1):
+        for i in range(iterations):
+            layout = first.shrunk((2 / 3) ** i)
+            errors = _Errors(
+                0.1 + 0.8 * i / max(iterations - 1, 1),
+                wanted,
+                layout.padded(maps.target.to(zs[0])),
+                None if sheet is None else layout.padded(sheet.pixels[:, : size[0], : size[1]]),
+            )
+            report = _reporter(on_step, f"iteration {i + 1} of {iterations}", i, iterations)
+            sheet = maker.lay(layout, errors, report)
+    assert sheet is not None
+    settings = {"recipe": "transfer", "iterations": iterations}
+    return _montage(sheet, maker, first, started, seed, settings)
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Square blocks that overlap, from the top left corner on until they cover the size."""
+
+    size: tuple[int, int]
+    block: int
+    overlap: int
+
+    @property
+    def step(self) -> int:
+        return self.block - self.overlap
+
+    @property
+    def count(self) -> tuple[int, int]:
+        """Rows and columns of blocks."""
+        rows, cols = (1 + max(0, -((self.block - n) // self.step)) for n in self.size)
+        return rows, cols
+
+    @property
+    def extent(self) -> tuple[int, int]:
+        """Pixels under the blocks; those beyond the size are cut off in the end."""
+        rows, cols = self.count
+        return self.block + (rows - 1) * self.step, self.block + (cols - 1) * self.step
+
+    def shrunk(self, ratio: float) -> "_Layout":
+        block = max(3, round(self.block * ratio))
+        return _Layout(self.size, block, min(max(1, round(self.overlap * ratio)), (block - 1) // 2))
+
+    def padded(self, image: Tensor) -> Tensor:
+        """The image over the whole extent; its border goes on."""
+        below, right = self.extent[0] - image.shape[1], self.extent[1] - image.shape[2]
+        return F.pad(image[None], (0, right, 0, below), mode="replicate")[0]
+
+
+@dataclass(frozen=True)
+class _Sheet:
+    """A canvas: its pixels, the number of every pixel's block, and where each block is from."""
+
+    pixels: Tensor
+    patches: Tensor
+    origins: Tensor
+
+
+@dataclass(frozen=True)
+class _Errors:
+    """How the places for a block are judged; all but the overlaps is of a transfer."""
+
+    alpha: float = 1.0
+    wanted: tuple[SsdSearch, ...] = ()
+    target: Tensor | None = None
+    before: Tensor | None = None
+
+    def __call__(
+        self, maker: "_Maker", space: LabelSpace, canvas: Tensor, window: Window, known: Tensor
+    ) -> Float[Tensor, "n"]:
+        template = canvas[:, window[0], window[1]]
+        if self.before is not None:
+            template = torch.where(known, template, self.before[:, window[0], window[1]])
+            known = torch.ones_like(known)
+        costs = canvas.new_zeros(len(space.positions))
+        if bool(known.any()):
+            costs = _costs(maker.searches, space, template, known) * (self.alpha / len(template))
+        if self.target is None:
+            return costs
+        template = self.target[:, window[0], window[1]]
+        share = (1 - self.alpha) / len(template)
+        return costs + share * _costs(self.wanted, space, template, None)
+
+
+def _costs(
+    searches: Sequence[SsdSearch], space: LabelSpace, template: Tensor, known: Tensor | None
+) -> Tensor:
+    """Costs of all places, one exemplar after another."""
+    found = []
+    for search, table in zip(searches, space.tables, strict=True):
+        cost = search(template[None], known)[0]
+        found.append(cost[table[: cost.shape[0], : cost.shape[1]].to(cost.device) >= 0])
+    return torch.cat(found)
+
+
+@dataclass(frozen=True)
+class _Dp:
+    """Two paths through the overlaps."""
+
+    def views(self, image: Tensor) -> Tensor:
+        """What the canvas keeps of an image: its pixels."""
+        return image[None]
+
+    def mask(self, old: Tensor, new: Tensor, left: int, top: int) -> Tensor:
+        """True where the new block goes."""
+        return quilt_mask(old[0], new[0], left, top)
+
+
+@dataclass(frozen=True)
+class _Cut:
+    """One min-cut, which knows older seams in the overlaps."""
+
+    solver: MinCut | None
+
+    def views(self, image: Tensor) -> Tensor:
+        """What the canvas keeps of an image: its pixels and what lies around them."""
+        return patch_views(image)
+
+    def mask(self, old: Tensor, new: Tensor, left: int, top: int) -> Tensor:
+        """True where the new block goes."""
+        first = torch.zeros(old.shape[2:], dtype=torch.bool, device=old.device)
+        fresh = torch.ones_like(first)
+        first[: min(top, 1)] = first[:, : min(left, 1)] = True
+        fresh[:top] = fresh[:, :left] = False
+        return cut_patch(old, new, first, fresh, solver=self.solver)
+
+
+@dataclass(frozen=True)
+class _Maker:
+    """What stays the same from block to block."""
+
+    images: list[Tensor]
+    masks: list[Tensor | None]
+    searches: tuple[SsdSearch, ...]
+    tolerance: float
+    seam: "_Dp | _Cut"
+    continuing: bool
+    generator: torch.Generator
+
+    def lay(
+        self, layout: _Layout, errors: _Errors, report: Callable[[float, Tensor], None]
+    ) -> _Sheet:
+        """All blocks, row by row."""
+        first, side = self.images[0], layout.block
+        space = _places(self.images, self.masks, side)
+        places = space.positions.to(first.device)
+        (rows, cols), step = layout.count, layout.step
+        origins = places.new_zeros(rows * cols, 3)
+        sheets = [self.seam.views(z) for z in self.images]
+        canvas = first.new_zeros(*sheets[0].shape[:2], *layout.extent)
+        patches = places.new_zeros(layout.extent)
+        for n in range(rows * cols):
+            i, j = divmod(n, cols)
+            top, left = layout.overlap * (i > 0), layout.overlap * (j > 0)
+            window = slice(i * step, i * step + side), slice(j * step, j * step + side)
+            known = torch.zeros(side, side, dtype=torch.bool, device=first.device)
+            known[:top] = known[:, :left] = True
+            costs = errors(self, space, canvas[0], window, known)
+            if not self.continuing:
+                after = [origins[n - 1] + origins.new_tensor([0, 0, step])] if j else []
+                after += [origins[n - cols] + origins.new_tensor([0, step, 0])] if i else []
+                costs = _without(costs, places, after)
+            place = places[pick(costs[None], self.tolerance, self.generator)[1]]
+            number, row, col = place.tolist()
+            new = sheets[number][..., row : row + side, col : col + side]
+            old = canvas[..., window[0], window[1]]
+            mask = self.seam.mask(old, new, left, top)
+            old.copy_(torch.where(mask, new, old))
+            patches[window].masked_fill_(mask, n)
+            origins[n] = place
+            if j == cols - 1:
+                report((i + 1) / rows, canvas[0, :, : layout.size[0], : layout.size[1]])
+        corners = origins.new_tensor([[0, n // cols, n % cols] for n in range(len(origins))]) * step
+        return _Sheet(canvas[0], patches, origins - corners)
+
+
+def _without(costs: Tensor, places: Tensor, after: list[Tensor]) -> Tensor:
+    """Costs that rule out where neighbors go on, unless nothing else is left."""
+    barred = torch.zeros_like(costs, dtype=torch.bool)
+    for place in after:
+        apart = (places - place).abs()
+        barred |= (apart[:, 0] == 0) & (apart[:, 1:] <= _NEAR).all(1)
+    return costs if bool(barred.all()) else costs.masked_fill(barred, torch.inf)
+
+
+def _montage(
+    sheet: _Sheet, maker: _Maker, layout: _Layout, started: float, seed: int, about: dict[str, Any]
+) -> Montage:
+    height, width = layout.size
+    patches = sheet.patches[:height, :width].contiguous()
+    rows = torch.arange(height, device=patches.device)[:, None].expand_as(patches)
+    cols = torch.arange(width, device=patches.device).expand_as(patches)
+    sources = sheet.origins[patches] + torch.stack([torch.zeros_like(rows), rows, cols], -1)
+    settings = about | {
+        "size": list(layout.size),
+        "block": layout.block,
+        "overlap": layout.overlap,
+        "tolerance": maker.tolerance,
+        "cut": "dp" if isinstance(maker.seam, _Dp) else "mincut",
+    }
+    return Montage(
+        sheet.pixels[:, :height, :width].contiguous(),
+        copied(sources, [(z.shape[1], z.shape[2]) for z in maker.images]),
+        patches,
+        time.perf_counter() - started,
+        seed,
+        settings,
+    )
+
+
+def _maker(
+    zs: list[Tensor],
+    keep: list[Tensor | None],
+    tolerance: float,
+    cut: str,
+    solver: MinCut | None,
+    seed: int,
+    continuing: bool,
+) -> _Maker:
+    if not 0 <= tolerance < float("inf"):
+        raise ValueError(f"tolerance={tolerance} must be at least 0, and finite")
+    if cut not in ("dp", "mincut"):
+        raise ValueError(f"cut={cut!r} is unknown; choose dp or mincut")
+    if not 0 <= seed < 2**63:
+        raise ValueError(f"seed={seed} must lie in 0..2^63 - 1")
+    seam = _Dp() if cut == "dp" else _Cut(solver)
+    searches = tuple(ssd_search(z) for z in zs)
+    generator = torch.Generator().manual_seed(seed)
+    return _Maker(zs, keep, searches, tolerance, seam, continuing, generator)
+
+
+def _layout(
+    zs: list[Tensor], size: tuple[int, int], block: int | None, overlap: int | None
+) -> _Layout:
+    shortest = min(min(z.shape[1:]) for z in zs)
+    height, width = size
+    if height < 1 or width < 1:
+        raise ValueError(f"size={height}x{width} must be at least 1x1; give height x width")
+    side = max(3, round(_SHARE * shortest)) if block is None else block
+    if not 3 <= side <= shortest:
+        raise ValueError(
+            f"block={side} must lie in 3..{shortest}, the shortest side of the exemplars"
+        )
+    if overlap is None:
+        overlap = max(1, min(round(side / 6), height // 2, width // 2))
+    elif not 1 <= overlap <= min((side - 1) // 2, height // 2, width // 2):
+        raise ValueError(
+            f"overlap={overlap} must be at least 1, less than half of block={side}, and at most "
+            f"half of size={height}x{width}"
+        )
+    return _Layout((height, width), side, overlap)
+
+
+def _places(zs: list[Tensor], masks: list[Tensor | None], side: int) -> LabelSpace:
+    space = label_space([(z.shape[1], z.shape[2]) for z in zs], side, masks)
+    if not len(space.positions):
+        raise ValueError(
+            f"block={side} fits nowhere in the masks; choose a smaller block or wider masks"
+        )
+    return space
+
+
+def _checked(exemplars: Exemplars, masks: Masks) -> tuple[list[Tensor], list[Tensor | None]]:
+    """Exemplars, with 0 where they may not be used, and a mask or None for each."""
+    zs = [exemplars] if isinstance(exemplars, Tensor) else list(exemplars)
+    keep: list[Tensor | None] = [None] * len(zs)
+    if masks is not None:
+        keep = [masks] if isinstance(masks, Tensor) else list(masks)
+    if not zs:
+        raise ValueError("exemplar: none given; give at least one image")
+    if len(keep) != len(zs):
+        raise ValueError(f"mask: {len(keep)} given for {len(zs)} exemplars; give one each")
+    found = []
+    for z, mask in zip(zs, keep, strict=True):
+        if mask is not None and mask.shape != z.shape[1:]:
+            raise ValueError(
+                f"mask is {mask.shape[0]}x{mask.shape[1]} and its exemplar "
+                f"{z.shape[1]}x{z.shape[2]}; give a mask of the size of the exemplar"
+            )
+        found.append(z.detach() if mask is None else torch.where(mask, z.detach(), 0))
+        check_image(found[-1], "exemplar")
+        if len(z) != len(zs[0]) or z.dtype != zs[0].dtype:
+            raise ValueError(
+                f"exemplar: {len(zs[0])} channels of {zs[0].dtype} beside {len(z)} of {z.dtype}; "
+                "convert them to the same"
+            )
+    return found, keep
+
+
+def _reporter(
+    on_step: Callable[[Stage], None] | None, note: str, turn: int, turns: int
+) -> Callable[[float, Tensor], None]:
+    def report(done: float, texture: Tensor) -> None:
+        if on_step is not None:
+            on_step(Stage((turn + done) / turns, note, texture.clone()))
+
+    return report
