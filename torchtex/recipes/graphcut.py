@@ -77,8 +77,8 @@ class SubPatch:
 
     def __post_init__(self) -> None:
         _check_k(self.k)
-        if self.patch is not None and self.patch < 2:
-            raise ValueError(f"patch={self.patch} must be at least 2 pixels")
+        if self.patch is not None and self.patch < 1:
+            raise ValueError(f"patch={self.patch} must be at least 1 pixel")
 
 
 Placement = Random | EntirePatch | SubPatch
@@ -386,7 +386,7 @@ class _Run:
         """Costs per pixel of the translations of a piece over a place."""
         piece, canvas = self.pieces[number], self.canvas
         (h, w), (hz, wz) = canvas.shape, piece.shape
-        if isinstance(self.placement, SubPatch) and bool(canvas.filled.any()):
+        if isinstance(self.placement, SubPatch):
             extent = self.placement.patch
             assert extent is not None
             top, left = row - extent // 2, col - extent // 2
@@ -394,9 +394,10 @@ class _Run:
                 top, left = min(max(top, 0), h - extent), min(max(left, 0), w - extent)
             index, _ = canvas.part(top, left, top + extent, left + extent)
             known = canvas.filled[index]
-            costs = piece.search(canvas.views[0][:, index[0], index[1]][None], known)[0]
-            costs = costs.flip(0, 1) / known.sum()
-            return _Spots(number, top - hz + extent, left - wz + extent, costs)
+            if bool(known.any()):
+                costs = piece.search(canvas.views[0][:, index[0], index[1]][None], known)[0]
+                costs = costs.flip(0, 1) / known.sum()
+                return _Spots(number, top - hz + extent, left - wz + extent, costs)
         # where there is something above or to the left, by a margin
         back = [side // 2 if side > 1 else min(at, n // MARGIN)
                 for at, n in ((row, hz), (col, wz))]  # fmt: skip
@@ -443,7 +444,6 @@ def _pieces(
     zs: list[Tensor], keep: list[Tensor | None], turns: bool, mirrors: bool, scales: Sequence[float]
 ) -> list[_Piece]:
     shapes = [(z.shape[1], z.shape[2]) for z in zs]
-    clean = [z if m is None else torch.where(m, z, 0) for z, m in zip(zs, keep, strict=True)]
     marks = [torch.ones_like(z[:1]) if m is None else m[None].to(z)
              for z, m in zip(zs, keep, strict=True)]  # fmt: skip
     pieces = []
@@ -458,7 +458,7 @@ def _pieces(
                     source = copied(positions, shapes)
                     usable = source.apply(marks)[0] >= 1
                     if bool(usable.any()):
-                        pieces.append(_piece(source.apply(clean), positions, usable))
+                        pieces.append(_piece(source.apply(zs), positions, usable))
     if not pieces:
         raise ValueError("masks leave no pixel of a scaled exemplar; widen them")
     return pieces
@@ -501,8 +501,7 @@ def _solved(canvas: _Canvas, texture: Tensor) -> Tensor:
 def _fitted(placement: SubPatch, pieces: list[_Piece], size: tuple[int, int]) -> SubPatch:
     least, canvas = min(min(p.shape) for p in pieces), min(size)
     if placement.patch is None:
-        return SubPatch(max(1 if least < 2 or canvas < 2 else 2, min(least // 3, canvas)),
-                        placement.k)  # fmt: skip
+        return SubPatch(max(1, min(least // 3, canvas)), placement.k)
     if placement.patch > least:
         raise ValueError(
             f"patch={placement.patch} is larger than an exemplar, scaled, of {least} pixels; "
@@ -567,4 +566,6 @@ def _checked(exemplars: Any, masks: Any) -> tuple[list[Tensor], list[Tensor | No
             raise TypeError(
                 f"exemplar: {z.dtype} beside {zs[0].dtype}; give all as float32 or all as float64"
             )
+    # pixels that may not be used may be anything
+    zs = [z if m is None else torch.where(m, z, 0) for z, m in zip(zs, keep, strict=True)]
     return [z.detach() for z in zs], keep
