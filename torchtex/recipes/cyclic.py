@@ -172,7 +172,11 @@ def seam_visibility(tile: Montage, *, window: int = _STRETCH) -> Visibility:
     if not bool(cut.any()):
         return Visibility(1.0, 1.0)
     tiny = 1e-8
-    mean = (size * cut).sum() / cut.sum() / ((size * (1 - cut)).sum() / (1 - cut).sum() + tiny)
+    mean = (
+        (size * cut).sum()
+        / cut.sum()
+        / ((size * (1 - cut)).sum() / (1 - cut).sum().clamp(min=1) + tiny)
+    )
     at = _boxes(cut, window)
     seam = torch.where(at >= window // 2, _boxes(size * cut, window) / at.clamp(min=1), 0)
     rest = _boxes(size * (1 - cut), window) / _boxes(1 - cut, window).clamp(min=1)
