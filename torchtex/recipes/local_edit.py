@@ -135,7 +135,7 @@ def edit(
     base: Float[Tensor, "c h w"],
     strokes: Sequence[Stroke],
     *,
-    reference: Float[Tensor, "c hz wz"] | None = None,
+    reference: Float[Tensor, "_ hz wz"] | None = None,
     reference_mask: Bool[Tensor, "hz wz"] | None = None,
     data_cost: float = 1e6,
     k1: float = 0.5,
@@ -363,7 +363,7 @@ def _place(
     corners = move.forward(_corners(mask))
     low, high = corners.floor().long().amin(0) - margin, corners.ceil().long().amax(0) + margin + 1
     window = tuple(
-        slice(max(0, int(a)), max(0, min(int(b), n)))
+        slice(min(max(0, int(a)), n), min(max(0, int(b)), n))
         for a, b, n in zip(low, high, size, strict=True)
     )
     rows, cols = (torch.arange(s.start, s.stop, dtype=torch.float64) for s in window)
@@ -487,7 +487,7 @@ class _Cut:
     def _object_costs(
         self, objects: Objects, apart: Tensor, alike: Tensor, free: Tensor, new: _Placed
     ) -> list[Tensor]:
-        soft = _blurred(new.image, 1.3)  # grain is no outline
+        soft = _blurred(new.image, 0.7)  # grain is no outline
         edges = [(a - b).square().sum(0) for a, b in (_pair(soft, step) for step in _FAR)]
         within = [torch.minimum(*_pair(free, step)) for step in _FAR]
         usual = torch.cat([e[i] for e, i in zip(edges[:2], within[:2], strict=True)]).mean()
