@@ -94,6 +94,16 @@ def test_alike_things_that_touch_are_cut_by_the_paper_and_kept_whole_by_us() -> 
     assert papers < 0.9
 
 
+def test_an_airbrush_takes_the_whole_of_one_thing() -> None:
+    image, which = pile()
+    row, col = torch.meshgrid(*(torch.arange(n) for n in SIZE), indexing="ij")
+    spray = torch.exp(-((row - 20) ** 2 + (col - 25) ** 2) / 32.0)  # nowhere 0
+    result = edit(image, [Stroke(spray, (20, 3))], poisson=False)
+    ours, spill = taken_of(result, which, int(which[19, 26]))
+    assert ours > 0.97
+    assert spill < 0.05
+
+
 def test_large_differences_at_the_seam_do_not_bleed() -> None:
     flower = disk(20.0, 20.0, 8.0)
     reference = meadow(flower)

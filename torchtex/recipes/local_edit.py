@@ -36,6 +36,8 @@ from torchtex.sources import copied
 
 CORE = 0.5
 """From this value on a pixel of a stroke's mask belongs to the object."""
+FAINT = 0.05
+"""Paint up to this value counts as none, so that an airbrush ends somewhere."""
 
 _NEAR = [(0, 1), (1, 0)]
 _FAR = [*_NEAR, (1, 1), (1, -1)]
@@ -50,7 +52,7 @@ class Stroke:
 
     Args:
         mask: of the reference's size. True, or from 0.5 on, marks the object; lighter paint,
-            above 0, leaves it to the cut whether a pixel belongs to it.
+            above 0.05, leaves it to the cut whether a pixel belongs to it.
         offset: rows and columns that the middle of the mark moves by.
         rotation: in degrees, counter-clockwise, about the middle of the mark.
         scale: size of the object in the base; below 0.5 fine detail is skipped, not averaged.
@@ -149,8 +151,9 @@ def edit(
     """Puts what the strokes mark in the reference into the base, one stroke after the other.
 
     Under the mark a pixel must show the reference (leaving it to the base costs `data_cost`),
-    but for a rim that `objects` may leave open. Within `band` pixels of the mark the cut decides.
-    Farther away, and wherever the moved reference has no pixel, the base stays.
+    but for a rim that `objects` may leave open. In light paint, and within `band` pixels of the
+    mark, the cut decides. Farther away, and wherever the moved reference has no pixel, the base
+    stays.
 
     Args:
         reference: None for the base itself, as it is before the first stroke.
@@ -330,21 +333,19 @@ class _Placed:
         window: rows and columns of the base.
         positions: (h, w, 3) in the exemplars, of the whole window.
         image: (c, h, w), what the reference shows there.
-        exists: where the reference has a pixel that may be used.
-        paint: (h, w), the mask.
-        near: distance from the painted pixels, up to a little more than the band.
-        band: width of the uncertain band.
-        radius: of a disk as large as the mark.
+        marked: (h, w), pixels of the object.
+        free: where the reference may go: those, and the uncertain ones.
+        around: pixels of the reference beyond, which tell what is around the object.
+        beyond: distance from the marked pixels, in radii of a disk of their area.
     """
 
     window: tuple[slice, slice]
     positions: Tensor
     image: Tensor
-    exists: Tensor
-    paint: Tensor
-    near: Tensor
-    band: int
-    radius: float
+    marked: Tensor
+    free: Tensor
+    around: Tensor
+    beyond: Tensor
 
 
 def _place(
@@ -358,8 +359,9 @@ def _place(
     mask = stroke.mask.to(source)
     radius = math.sqrt(float((mask >= CORE).sum()) / math.pi) * stroke.scale
     band = max(4, round(1.5 * radius)) if band is None else band
-    margin = band + _ring(band) + 1
-    move = _Move.of(stroke)
+    ring = max(3, band // 2)
+    margin = band + ring + 1
+    move = _Move.of(stroke, mask)
     corners = move.forward(_corners(mask))
     low, high = corners.floor().long().amin(0) - margin, corners.ceil().long().amax(0) + margin + 1
     window = tuple(
@@ -387,8 +389,12 @@ def _place(
             f"stroke {number}: offset={tuple(stroke.offset)} leaves nothing of the mark inside the "
             f"base of {size[0]} x {size[1]} pixels; choose an offset that does"
         )
-    near = _distance(paint > 0, margin)
-    return _Placed((window[0], window[1]), positions, image, exists, paint, near, band, radius)
+    near = _distance(paint >= CORE, margin)
+    free = ((near <= band) | (paint > FAINT)) & exists
+    around = (_distance(free, ring) <= ring) & ~free & exists
+    return _Placed(
+        (window[0], window[1]), positions, image, paint >= CORE, free, around, near / radius
+    )
 
 
 @dataclass(frozen=True)
@@ -402,8 +408,8 @@ class _Move:
     whole: bool
 
     @staticmethod
-    def of(stroke: Stroke) -> "_Move":
-        box = _corners(stroke.mask)
+    def of(stroke: Stroke, mask: Tensor) -> "_Move":
+        box = _corners(mask)
         pivot = torch.div(box[0] + box[-1], 2, rounding_mode="floor")  # whole, as are its turns
         quarters = stroke.rotation / 90
         whole = quarters == round(quarters)
@@ -414,9 +420,8 @@ class _Move:
         side = -1 if stroke.mirror else 1
         turn = torch.tensor([[cos, -sin * side], [sin, cos * side]], dtype=torch.float64)
         offset = torch.tensor(stroke.offset, dtype=torch.float64)
-        device = stroke.mask.device
         whole = whole and stroke.scale == 1 and bool((offset == offset.round()).all())
-        return _Move(pivot, offset.to(device), turn.to(device), stroke.scale, whole)
+        return _Move(pivot, offset.to(pivot), turn.to(pivot), stroke.scale, whole)
 
     def forward(self, points: Tensor) -> Tensor:
         return self.pivot + self.offset + self.scale * (points - self.pivot) @ self.turn.T
@@ -427,14 +432,9 @@ class _Move:
 
 def _corners(mask: Tensor) -> Tensor:
     """(4, 2), of the smallest box around the paint; the first and the last are opposite."""
-    rows, cols = ((mask > 0).any(dim).nonzero().flatten() for dim in (1, 0))
+    rows, cols = ((mask > FAINT).any(dim).nonzero().flatten() for dim in (1, 0))
     ends = [(r, c) for r in (rows[0], rows[-1]) for c in (cols[0], cols[-1])]
     return torch.stack([torch.stack(pair) for pair in ends]).double()
-
-
-def _ring(band: int) -> int:
-    """Width of what counts as the surroundings, beyond the band."""
-    return max(3, band // 2)
 
 
 def _distance(mask: Tensor, limit: int) -> Tensor:
@@ -464,8 +464,7 @@ class _Cut:
 
     def __call__(self, old: Tensor, new: _Placed) -> tuple[Tensor, Tensor]:
         """True where the reference goes; and how much of the object each pixel looks like."""
-        free = (new.near <= new.band) & new.exists
-        core = (new.paint >= CORE) & free
+        core = new.marked
         apart = self.k1 * _norm(old - new.image)
         apart = apart + self.k2 * _norm(_slopes(old) - _slopes(new.image))
         alike = torch.zeros_like(apart)
@@ -474,10 +473,10 @@ class _Cut:
             costs = [_both(apart, step) for step in steps]
         else:
             alike = _likeness(new)
-            costs = self._object_costs(self.objects, apart, alike, free, new)
+            costs = self._object_costs(self.objects, apart, alike, new)
             core = _without_rim(core, self.objects.doubt)
         unary = torch.stack([self.data_cost * core.to(apart), torch.zeros_like(apart)], -1)
-        unary[..., 1].masked_fill_(~free, torch.inf)
+        unary[..., 1].masked_fill_(~new.free, torch.inf)
         node = torch.arange(apart.numel(), device=apart.device).view(apart.shape)
         edges = torch.cat([torch.stack(_pair(node, step), -1).flatten(0, 1) for step in steps])
         capacity = torch.cat([cost.flatten() for cost in costs])[:, None].expand(-1, 2)
@@ -485,13 +484,13 @@ class _Cut:
         return labels, alike
 
     def _object_costs(
-        self, objects: Objects, apart: Tensor, alike: Tensor, free: Tensor, new: _Placed
+        self, objects: Objects, apart: Tensor, alike: Tensor, new: _Placed
     ) -> list[Tensor]:
         soft = _blurred(new.image, 0.7)  # grain is no outline
         edges = [(a - b).square().sum(0) for a, b in (_pair(soft, step) for step in _FAR)]
-        within = [torch.minimum(*_pair(free, step)) for step in _FAR]
+        within = [torch.minimum(*_pair(new.free, step)) for step in _FAR]
         usual = torch.cat([e[i] for e, i in zip(edges[:2], within[:2], strict=True)]).mean()
-        floor = objects.length * 2 * apart[free].mean()
+        floor = objects.length * 2 * apart[new.free].mean()
         costs = []
         for step, edge in zip(_FAR, edges, strict=True):
             square = step[0] ** 2 + step[1] ** 2
@@ -512,18 +511,15 @@ def _without_rim(core: Tensor, doubt: float) -> Tensor:
 
 def _likeness(new: _Placed) -> Tensor:
     """(h, w) in [0, 1]: do colours speak for the mark, or for what lies beyond the band?"""
+    if not new.around.any():
+        return torch.zeros_like(new.image[0])
     soft = _blurred(new.image, 0.7)
-    marked = new.paint >= CORE
-    around = (new.near > new.band) & (new.near <= new.band + _ring(new.band)) & new.exists
-    if not around.any():
-        return torch.zeros_like(new.paint)
     pixels = soft.flatten(1).T
     spread = (pixels - pixels.mean(0)).square().sum(1).mean()
     width = 0.2 * spread.sqrt().clamp_min(1e-6)
-    here, there = (_density(pixels, soft[:, which].T, width) for which in (marked, around))
-    ratio = (here / (here + there + 1e-3)).view(new.paint.shape)
-    beyond = new.near / new.radius
-    return ratio * torch.exp(-0.5 * beyond.square()).to(ratio)
+    here, there = (_density(pixels, soft[:, which].T, width) for which in (new.marked, new.around))
+    ratio = (here / (here + there + 1e-3)).view(new.marked.shape)
+    return ratio * torch.exp(-0.5 * new.beyond.square()).to(ratio)
 
 
 def _density(pixels: Tensor, colors: Tensor, width: Tensor) -> Tensor:
