@@ -1,6 +1,7 @@
 """`torchtex graphcut`: copies of the exemplar, joined along the best seams."""
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -171,7 +172,7 @@ def _solver(name: str | None) -> "MinCut":
 
     if name is None:
         return default_solver()
-    made = {"pymaxflow": PyMaxflow, "ortools": OrTools}
+    made: dict[str, Callable[[], MinCut]] = {"pymaxflow": PyMaxflow, "ortools": OrTools}
     if name not in made:
         there = ", ".join(known for known, usable in solvers().items() if usable) or "none"
         raise ValueError(f"solver={name!r} is unknown; those installed here: {there}")
