@@ -75,6 +75,7 @@ def blurred_luminance(
     *,
     sigma: float = 1.5,
     match: bool = True,
+    masks: Sequence[Bool[Tensor, "_ _"] | None] | None = None,
 ) -> Correspondence:
     """Lightness of both, blurred, as the correspondence of a transfer.
 
@@ -82,6 +83,7 @@ def blurred_luminance(
         sigma: standard deviation of the Gaussian, in pixels.
         match: give the target the exemplars' distribution of lightness, rank by rank, so that
             the darkest of the one stands for the darkest of the other.
+        masks: True at the pixels of the exemplars whose lightness counts in that.
 
     Raises:
         ValueError: sigma is not above 0.
@@ -104,10 +106,13 @@ def blurred_luminance(
     theirs = tuple(blurred(z) for z in exemplars)
     ours = blurred(target.to(exemplars[0]))
     if match:
-        values = torch.cat([z.flatten() for z in theirs]).sort().values
-        rank = ours.flatten().argsort(stable=True).argsort()
-        place = (rank + 0.5) * (len(values) / len(rank))
-        ours = values[place.long().clamp(max=len(values) - 1)].view_as(ours)
+        used = [None] * len(theirs) if masks is None else masks
+        seen = [z[0] if m is None else z[0, m] for z, m in zip(theirs, used, strict=True)]
+        values = torch.cat([z.flatten() for z in seen]).sort().values
+        order = ours.flatten().sort().values
+        # equal pixels get equal values: those of the middle of their ranks
+        rank = torch.searchsorted(order, ours) + torch.searchsorted(order, ours, right=True)
+        ours = values[(rank * len(values) // (2 * len(order))).clamp(max=len(values) - 1)]
     return Correspondence(theirs, ours)
 
 
@@ -188,7 +193,7 @@ def transfer(
         exemplars: one image, or several with equal channels.
         target: any number of channels; the texture gets its size.
         correspondence: None for `blurred_luminance`.
-        block: side of a block in the first iteration; None as in `quilt`.
+        block: side of a block in the first iteration; None for 0.14 of the shortest side.
         overlap: of neighbors in the first iteration; None for a sixth of the block.
         iterations: how many passes.
         tolerance, cut, solver, masks, on_step: as in `quilt`.
@@ -207,11 +212,11 @@ def transfer(
     zs, keep = _checked(exemplars, masks)
     check_image(target, "target")
     size = (target.shape[1], target.shape[2])
-    first = _layout(zs, size, block, overlap)
+    first = _layout(zs, size, block, overlap, _SHARE / 2)
     if iterations < 1:
         raise ValueError(f"iterations={iterations} must be at least 1")
     maker = _maker(zs, keep, tolerance, cut, solver, seed, True)
-    maps = blurred_luminance(zs, target) if correspondence is None else correspondence
+    maps = blurred_luminance(zs, target, masks=keep) if correspondence is None else correspondence
     maps.check(zs, size)
     wanted = tuple(ssd_search(z.to(zs[0])) for z in maps.exemplars)
     errors, sheet = _Errors(), None
@@ -448,13 +453,17 @@ def _maker(
 
 
 def _layout(
-    zs: list[Tensor], size: tuple[int, int], block: int | None, overlap: int | None
+    zs: list[Tensor],
+    size: tuple[int, int],
+    block: int | None,
+    overlap: int | None,
+    share: float = _SHARE,
 ) -> _Layout:
     shortest = min(min(z.shape[1:]) for z in zs)
     height, width = size
     if height < 1 or width < 1:
         raise ValueError(f"size={height}x{width} must be at least 1x1; give height x width")
-    side = max(3, round(_SHARE * shortest)) if block is None else block
+    side = max(3, round(share * shortest)) if block is None else block
     if not 3 <= side <= shortest:
         raise ValueError(
             f"block={side} must lie in 3..{shortest}, the shortest side of the exemplars"
