@@ -36,7 +36,7 @@ FLOORS = (
     ("model",),
     ("labels", "em"),
     ("schedule", "starts", "carry", "recipes.montage"),
-    ("result",),
+    ("result", "recipes.analogy"),
     ("synthesize",),
     ("recipes",),
     ("cli",),

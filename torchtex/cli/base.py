@@ -9,9 +9,13 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+import typer.core
 
 if TYPE_CHECKING:
     import torch
+
+# what commands are handed is then of the class that they say
+typer.core.TyperCommand.context_class = typer.Context
 
 app = typer.Typer(
     help="Makes textures of any size that look like an exemplar.",
