@@ -168,7 +168,8 @@ def test_files(tmp_path: Path, bits: int, channels: int) -> None:
 def test_steps_and_cancel() -> None:
     stages: list[Stage] = []
     made(on_step=stages.append)
-    assert len(stages) == 8
+    assert [s.note for s in stages] == ["choose patches"] + ["cut tiles"] * 8
+    assert [s.done for s in stages] == sorted(s.done for s in stages)
     assert stages[-1].done == 1
 
     def stop(_: Stage) -> None:

@@ -103,7 +103,8 @@ class WangSet:
             raise ValueError("edges leave pairs of colours to the north and west without a tile")
         room = torch.tensor(self.shape, device=self.places.device)
         for extent, places in zip(_extents(side, self.reach), self.places, strict=True):
-            if bool((places < 0).any()) or bool((places + torch.tensor(extent) > room).any()):
+            last = places + torch.tensor(extent, device=places.device)
+            if bool((places < 0).any()) or bool((last > room).any()):
                 raise ValueError("places leave the exemplar")
 
     @property
@@ -356,14 +357,14 @@ def wang_tiles(
     reach = _check(exemplar, colors, tile, cut, seed)
     allowed = [_allowed(exemplar, mask, extent) for extent in _extents(tile, reach)]
     generator = torch.Generator().manual_seed(seed)
-    places = _Patches(exemplar, tile, reach, allowed, colors, generator).chosen(choice)
+    places = _Patches(exemplar, tile, reach, allowed, colors, generator).chosen(choice, on_step)
     edges = edge_colors(colors, complete=complete)
     assemble = _Assembly(exemplar, places, tile, reach, cut, solver)
     pieces = []
     for number, row in enumerate(edges.tolist()):
         pieces.append(assemble(row))
         if on_step is not None:
-            done = (number + 1) / len(edges)
+            done = (1 + (number + 1) / len(edges)) / 2
             shown = assemble.pixels(row, pieces[-1])
             on_step(Stage(done, "cut tiles", shown, f"{number + 1} of {len(edges)}"))
     settings = {
@@ -480,9 +481,11 @@ class _Patches(NamedTuple):
     colors: int
     generator: torch.Generator
 
-    def chosen(self, choice: Choice) -> Tensor:
+    def chosen(self, choice: Choice, on_step: Callable[[Stage], None] | None) -> Tensor:
         best, least = None, float("inf")
-        for _ in range(choice.tries):
+        for number in range(choice.tries):
+            if on_step is not None:
+                on_step(Stage(number / choice.tries / 2, "choose patches", self.exemplar))
             places = torch.stack([self._draw(axis, self.colors) for axis in (0, 1)])
             for _ in range(choice.rounds):
                 cost = 0.0
