@@ -38,12 +38,17 @@ PACKAGES = ("gmic", "resynthesizer", "numpy", "Pillow")
 METRICS = ("nn", "tail", "miss", "swd", "spec", "copy", "repeat")
 PEERS = ("gmic", "resynthesizer")
 OURS = ("torchtex", "paper")
+RECIPES = ("quilt", "patchwise", "graphcut", "wang")
 ANCHORS = ("real", "tile")
 NAMES = {
     "gmic": "G'MIC",
     "resynthesizer": "Resynthesizer",
     "torchtex": "torchtex",
     "paper": "torchtex as in the paper",
+    "quilt": "torchtex quilt",
+    "patchwise": "torchtex patchwise",
+    "graphcut": "torchtex graphcut",
+    "wang": "torchtex wang",
     "real": "real, median strip",
     "real_worst": "real, worst strip",
     "tile": "tile",
@@ -122,20 +127,60 @@ def paper(exemplar: np.ndarray, height: int, width: int, seed: int) -> Call:
     return _torchtex(exemplar, height, width, seed, **options)
 
 
-def _torchtex(exemplar: np.ndarray, height: int, width: int, seed: int, **options: Any) -> Call:
-    import torch
+def quilt(exemplar: np.ndarray, height: int, width: int, seed: int) -> Call:
+    """Our image quilting with its defaults."""
+    from torchtex.recipes.quilting import quilt
 
+    return _recipe(exemplar, height, width, lambda z, size: quilt(z, size, seed=seed))
+
+
+def patchwise(exemplar: np.ndarray, height: int, width: int, seed: int) -> Call:
+    """Our patch-based sampling with its defaults."""
+    from torchtex.recipes.patchwise import patchwise
+
+    return _recipe(exemplar, height, width, lambda z, size: patchwise(z, size, seed=seed))
+
+
+def graphcut(exemplar: np.ndarray, height: int, width: int, seed: int) -> Call:
+    """Our graphcut textures with their defaults."""
+    from torchtex.recipes.graphcut import graphcut
+
+    return _recipe(exemplar, height, width, lambda z, size: graphcut(z, size, seed=seed))
+
+
+def wang(exemplar: np.ndarray, height: int, width: int, seed: int) -> Call:
+    """A set of Wang tiles of 64 px, or of what fits, and one texture laid with it."""
+    from torchtex.recipes.wang import wang_tiles
+
+    def make(z: Any, size: tuple[int, int]) -> Any:
+        side = min(64, min(z.shape[1:]) * 4 // 5 // 2 * 2)
+        return wang_tiles(z, tile=side, seed=seed).tile(size, seed=seed)
+
+    return _recipe(exemplar, height, width, make)
+
+
+def _torchtex(exemplar: np.ndarray, height: int, width: int, seed: int, **options: Any) -> Call:
     from torchtex import synthesize
+
+    return _recipe(
+        exemplar, height, width, lambda z, size: synthesize(z, size, seed=seed, **options)
+    )
+
+
+def _recipe(
+    exemplar: np.ndarray, height: int, width: int, make: Callable[[Any, tuple[int, int]], Any]
+) -> Call:
+    import torch
 
     torch.set_num_threads(int(os.environ.get("OMP_NUM_THREADS", "1")))
     image = torch.from_numpy(exemplar).permute(2, 0, 1).float() / 255
 
-    def make(image: torch.Tensor, size: tuple[int, int]) -> np.ndarray:
-        texture = synthesize(image, size, seed=seed, **options).texture
+    def call(image: torch.Tensor, size: tuple[int, int]) -> np.ndarray:
+        texture = make(image, size).texture
         return (texture * 255).round().clamp(0, 255).byte().permute(1, 2, 0).numpy()
 
-    make(image[:, :64, :64], (64, 64))  # warm up: lazy imports, thread pools
-    return lambda: make(image, (height, width))
+    call(image[:, :64, :64], (64, 64))  # warm up: lazy imports, thread pools
+    return lambda: call(image, (height, width))
 
 
 SYNTHESIZERS: dict[str, Callable[[np.ndarray, int, int, int], Call]] = {
@@ -143,6 +188,16 @@ SYNTHESIZERS: dict[str, Callable[[np.ndarray, int, int, int], Call]] = {
     "resynthesizer": resynthesizer,
     "torchtex": torchtex,
     "paper": paper,
+    "quilt": quilt,
+    "patchwise": patchwise,
+    "graphcut": graphcut,
+    "wang": wang,
+}
+MODULE = {
+    "quilt": "recipes.quilting",
+    "patchwise": "recipes.patchwise",
+    "graphcut": "recipes.graphcut",
+    "wang": "recipes.wang",
 }
 
 
@@ -227,22 +282,23 @@ def fingerprint(*paths: Path) -> str:
 
 
 def modules(name: str) -> set[Path]:
-    """The files of one module of torchtex and of all its modules that it imports."""
+    """The files of one module of torchtex, dotted, and of all its modules that it imports."""
     found: set[Path] = set()
-    wanted = [ROOT / "torchtex" / f"{name}.py"]
+    wanted = [name]
     while wanted:
-        path = wanted.pop()
+        path = ROOT / "torchtex" / f"{wanted.pop().replace('.', '/')}.py"
         if path in found or not path.exists():
             continue
         found.add(path)
-        names = re.findall(r"^\s*from torchtex\.(\w+) import", path.read_text(), re.MULTILINE)
-        wanted += [path.with_name(f"{other}.py") for other in names]
+        wanted += re.findall(r"^\s*from torchtex\.([\w.]+) import", path.read_text(), re.MULTILINE)
     return found
 
 
 def _source_hash(method: str) -> str:
     """A hash of how a method is called."""
-    functions = [worker, SYNTHESIZERS[method], *([_torchtex] if method in OURS else [])]
+    helpers = [] if method in PEERS else [_recipe]
+    helpers += [_torchtex] if method in OURS else []
+    functions = [worker, SYNTHESIZERS[method], *helpers]
     text = "".join(inspect.getsource(function) for function in functions)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -303,7 +359,8 @@ class Bench:
         path = self.pictures / method / f"{case.name}_{seed}.png"
         path.parent.mkdir(exist_ok=True)
         made_by = {
-            "version": self.versions.get(method) or fingerprint(*modules("synthesize")),
+            "version": self.versions.get(method)
+            or fingerprint(*modules(MODULE.get(method, "synthesize"))),
             "call": self.calls[method],
             "exemplar": fingerprint(exemplar),
             "size": SIZE,
@@ -512,7 +569,7 @@ def verdict(table: dict[str, dict[str, Values]]) -> list[Target]:
     return targets
 
 
-ORDER = ("gmic", "resynthesizer", "torchtex", "paper", "tile", "real", "real_worst")
+ORDER = (*PEERS, *OURS, *RECIPES, "tile", "real", "real_worst")
 
 
 def _row(method: str, values: Values) -> str:
@@ -537,7 +594,7 @@ def report(
     """The results as Markdown."""
     packages = ", ".join(f"{k} {v}" for k, v in about["versions"].items())
     lines = [
-        "# Peers",
+        f"# {about['title']}",
         "",
         f"{len(table)} exemplars of at most {about['limit']} px a side to {SIZE} x {SIZE}, "
         f"{about['seeds']} seeds, {about['threads']} thread(s), {about['device']}. "
@@ -588,8 +645,10 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
         metavar="DIR",
         help="virtual environment of the peers, made where it does not exist",
     )
-    every = [*PEERS, *OURS, *ANCHORS]
-    parser.add_argument("--methods", nargs="+", choices=every, default=every, metavar="METHOD")
+    default = [*PEERS, *OURS, *ANCHORS]
+    every = [*default, *RECIPES]
+    parser.add_argument("--methods", nargs="+", choices=every, default=default, metavar="METHOD")
+    parser.add_argument("--report", default="peers", metavar="NAME", help="of the .json and .md")
     parser.add_argument("--limit", type=int, default=128, help="largest exemplar side in pixels")
     parser.add_argument("--limit-cases", type=int, metavar="N", help="only the first N exemplars")
     parser.add_argument("--threads", type=int, default=1, help="threads of each method")
@@ -623,6 +682,7 @@ def main() -> None:
     if bench.source != fingerprint(*modules("synthesize")):
         print("torchtex was edited during the run: run again to replace older pictures", flush=True)
     about = {
+        "title": options.report.capitalize(),
         "versions": {
             "python": platform.python_version(),
             "torch": torch.__version__,
@@ -647,9 +707,9 @@ def main() -> None:
         "targets": [asdict(target) for target in targets],
         "runs": [asdict(run) for run in runs],
     }
-    (options.out / "peers.json").write_text(json.dumps(everything, indent=1) + "\n")
+    (options.out / f"{options.report}.json").write_text(json.dumps(everything, indent=1) + "\n")
     text = report(about, table, diversity, targets, errors)
-    (options.out / "peers.md").write_text(text)
+    (options.out / f"{options.report}.md").write_text(text)
     print(text.split("## Exemplars")[0])
 
 
