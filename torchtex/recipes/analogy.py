@@ -489,7 +489,7 @@ def match_luminance(
 
 
 def detail_problem(
-    sample: Float[Tensor, "c h w"], low: Float[Tensor, "c y x"], factor: float
+    sample: Float[Tensor, "c h w"], low: Float[Tensor, "k y x"], factor: int | float
 ) -> Analogy:
     """Detail for a small picture: S is the sample, Q the sample as coarse as the small picture.
 
@@ -531,7 +531,7 @@ def shrunk(image: Float[Tensor, "c h w"], size: tuple[int, int]) -> Float[Tensor
 
 
 def detail_error(
-    output: Float[Tensor, "c h w"], low: Float[Tensor, "c y x"], factor: float
+    output: Float[Tensor, "c h w"], low: Float[Tensor, "c y x"], factor: int | float
 ) -> float:
     """Root mean square of the output, reduced, minus the small picture; 0.01 is 1 % of white.
 
@@ -614,7 +614,7 @@ class Snapped:
 
 def snapped(
     mapped: Float[Tensor, "c h w"],
-    constraint: Float[Tensor, "c y x"],
+    constraint: Float[Tensor, "k y x"],
     *,
     near: float = 0.1,
     share: float = 0.002,
