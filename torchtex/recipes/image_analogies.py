@@ -37,7 +37,7 @@ _COARSEST = 16  # pixels: a scale at least has, unless the number of scales is g
 def image_analogies(
     problem: Analogy,
     *,
-    kappa: float = 5.0,
+    kappa: float = 2.0,
     levels: int | None = None,
     window: int = 5,
     coarse: int = 3,
