@@ -314,6 +314,7 @@ def test_bad_options_are_named(options: dict[str, object], words: str) -> None:
         (lambda: SubPatch(k=0.0), "k=0.0"),
         (lambda: EntirePatch(k=math.inf), "k=inf"),
         (lambda: EntirePatch(k=math.nan), "k=nan"),
+        (lambda: EntirePatch(spread=-1.0), "spread=-1.0"),
         (lambda: graphcut([], (9, 9)), "none given"),
         (lambda: graphcut([noise(1, 9, 9), noise(2, 9, 9)], (9, 9)), "1 channels and another 2"),
         (lambda: graphcut(noise(1, 9, 9) / 0, (9, 9)), "NaN or infinity"),
@@ -334,3 +335,14 @@ def test_without_a_solver_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) ->
     with pytest.raises(ImportError) as caught:
         graphcut(stripes(24, 24), (30, 30))
     assert "torchtex[graphcut]" in str(caught.value)
+
+
+def test_spread_shows_more_of_the_exemplar() -> None:
+    z = noise(1, 36, 36)
+    missed = []
+    for spread in (0.0, 3.0):
+        result = graphcut(z, (90, 90), placement=SubPatch(spread=spread), seed=1)
+        source = result.source_map[..., 1] * 36 + result.source_map[..., 2]
+        counts = torch.bincount(source.flatten(), minlength=36 * 36).double()
+        missed.append(float(counts.std() / counts.mean()))
+    assert missed[1] < missed[0]

@@ -8,13 +8,13 @@ Source: Kwatra et al. 2003, Graphcut textures: image and video synthesis using g
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
-from torch.nn.functional import pad
+from torch.nn.functional import avg_pool2d, pad
 
 from torchtex.cuts.mincut import MinCut, default_solver
 from torchtex.cuts.poisson import Guidance, solve
@@ -47,16 +47,20 @@ class EntirePatch:
     Args:
         k: a translation of cost C per pixel is drawn with probability exp(-C / (k sigma^2)),
             where sigma^2 is the variance of the exemplar: small is strict.
+        spread: C grows by this share for every time that the part of the exemplar which comes to
+            the place is shown already, more or less than others: parts take turns, and fewer
+            repetitions are seen. 0 for the paper's costs.
 
     Example:
-        >>> EntirePatch(k=0.1)
-        EntirePatch(k=0.1)
+        >>> EntirePatch(k=0.1).spread
+        0.3
     """
 
     k: float = 0.01
+    spread: float = 0.3
 
     def __post_init__(self) -> None:
-        _check_k(self.k)
+        _check_draw(self.k, self.spread)
 
 
 @dataclass(frozen=True)
@@ -65,7 +69,7 @@ class SubPatch:
 
     Args:
         patch: side of the square in pixels; None for a third of the least side of the exemplars.
-        k: as of `EntirePatch`.
+        k, spread: as of `EntirePatch`.
 
     Example:
         >>> SubPatch(patch=24).patch
@@ -74,9 +78,10 @@ class SubPatch:
 
     patch: int | None = None
     k: float = 0.01
+    spread: float = 0.3
 
     def __post_init__(self) -> None:
-        _check_k(self.k)
+        _check_draw(self.k, self.spread)
         if self.patch is not None and self.patch < 1:
             raise ValueError(f"patch={self.patch} must be at least 1 pixel")
 
@@ -91,6 +96,7 @@ class _Piece:
     image: Float[Tensor, "c h w"]
     views: Float[Tensor, "5 c h w"]
     positions: Tensor
+    places: Int[Tensor, "h w"]  # the same as one number, of the nearest pixel of all exemplars
     usable: Bool[Tensor, "h w"]
     search: SsdSearch
     variance: float
@@ -109,6 +115,15 @@ class _Spots:
     left: int
     costs: Float[Tensor, "rows cols"]
 
+    def brought(self, piece: _Piece, row: int, col: int) -> tuple[tuple[Tensor, Tensor], Tensor]:
+        """Index of the pixels that the translations bring to a place, and which there are."""
+        device = self.costs.device
+        rows = row - self.top - torch.arange(self.costs.shape[0], device=device)
+        cols = col - self.left - torch.arange(self.costs.shape[1], device=device)
+        h, w = piece.shape
+        inside = ((rows >= 0) & (rows < h))[:, None] & (cols >= 0) & (cols < w)
+        return (rows.clamp(0, h - 1)[:, None], cols.clamp(0, w - 1)), inside
+
 
 @dataclass
 class _Canvas:
@@ -117,6 +132,7 @@ class _Canvas:
     views: Float[Tensor, "5 c h w"]
     filled: Bool[Tensor, "h w"]
     positions: Tensor
+    places: Int[Tensor, "h w"]
     patches: Int[Tensor, "h w"]
     seams: Float[Tensor, "h w"]
     periodic: bool
@@ -166,6 +182,7 @@ class _Canvas:
         self.filled[index] |= labels
         source = piece.positions[own]
         self.positions[index] = torch.where(labels[..., None], source, self.positions[index])
+        self.places[index] = torch.where(labels, piece.places[own], self.places[index])
         self.patches[index] = torch.where(labels, len(self.placed), self.patches[index])
         self.placed.append((number, *at))
         self._count(box, gradient)
@@ -228,7 +245,7 @@ def graphcut(
         ValueError: an option out of range, or exemplars that differ in kind.
         ImportError: no min-cut solver is installed.
 
-    Source: Kwatra et al. 2003, sections 3 to 5.
+    Source: Kwatra et al. 2003, sections 3 to 5; `spread` is ours.
 
     Example:
         >>> result = graphcut(torch.rand(3, 24, 24), (32, 40), refine=2)
@@ -247,6 +264,7 @@ def graphcut(
         run = _Run(
             pieces, _canvas(pieces, size, boundary == "periodic"), placement, gradient, solver,
             torch.Generator().manual_seed(seed), on_step,
+            sum(z.shape[1] * z.shape[2] for z in zs),
         )  # fmt: skip
         count = run.suitable() if refine is None else refine
         run.fill(0.5 if count else 1.0)
@@ -278,11 +296,12 @@ class _Run:
     solver: MinCut
     generator: torch.Generator
     on_step: Callable[[Stage], None] | None
+    exemplars: int  # pixels of all of them
 
     def suitable(self) -> int:
         """Placements of refinement that a canvas of this size asks for."""
         area = sum(h * w for h, w in (p.shape for p in self.pieces)) / len(self.pieces)
-        return min(400, round(8 * self.canvas.filled.numel() / area))
+        return min(400, round(10 * self.canvas.filled.numel() / area))
 
     def fill(self, share: float) -> None:
         """Places patches, each over the first pixel that is empty, until none is."""
@@ -348,7 +367,7 @@ class _Run:
     def _growing(self, number: int, row: int, col: int) -> _Spots:
         """Translations that cover an empty pixel, and much besides that is empty."""
         piece = self.pieces[number]
-        spots = self._compared(number, row, col, 1)
+        spots = self._spread(self._compared(number, row, col, 1), row, col)
         top, left, (rows, cols) = spots.top, spots.left, spots.costs.shape
         h, w = piece.shape
         index, inside = self.canvas.part(top, left, top + rows + h - 1, left + cols + w - 1)
@@ -363,9 +382,9 @@ class _Run:
 
     def _covering(self, number: int, row: int, col: int, side: int) -> _Spots:
         """Translations that cover a bad place, but for those that are present near it."""
-        spots = self._compared(number, row, col, side)
-        costs = spots.costs.clone()
-        costs[~self._covers(self.pieces[number], spots, row, col)] = torch.inf
+        spots = self._spread(self._compared(number, row, col, side), row, col)
+        covers = self._covers(self.pieces[number], spots, row, col)
+        costs = torch.where(covers, spots.costs, torch.inf)
         for other, top, left in self.canvas.placed:
             if other == number:
                 i, j = top - spots.top, left - spots.left
@@ -376,11 +395,22 @@ class _Run:
 
     def _covers(self, piece: _Piece, spots: _Spots, row: int, col: int) -> Bool[Tensor, "r c"]:
         """Translations that bring a usable pixel to a place."""
-        rows = row - spots.top - torch.arange(spots.costs.shape[0], device=spots.costs.device)
-        cols = col - spots.left - torch.arange(spots.costs.shape[1], device=spots.costs.device)
-        h, w = piece.shape
-        inside = ((rows >= 0) & (rows < h))[:, None] & (cols >= 0) & (cols < w)
-        return inside & piece.usable[rows.clamp(0, h - 1)[:, None], cols.clamp(0, w - 1)]
+        index, inside = spots.brought(piece, row, col)
+        return inside & piece.usable[index]
+
+    def _spread(self, spots: _Spots, row: int, col: int) -> _Spots:
+        """Higher costs for what the canvas shows more often than other parts."""
+        canvas, piece = self.canvas, self.pieces[spots.piece]
+        share = 0.0 if isinstance(self.placement, Random) else self.placement.spread
+        if share == 0 or not canvas.placed:
+            return spots
+        shown = canvas.places[canvas.filled]
+        count = torch.bincount(shown, minlength=self.exemplars)[piece.places].to(spots.costs)
+        side = min(piece.shape) // 8 | 1
+        around = avg_pool2d(count[None], side, 1, side // 2, count_include_pad=False)[0]
+        around = around * (self.exemplars / len(shown))
+        costs = spots.costs * (1 + share * around[spots.brought(piece, row, col)[0]])
+        return replace(spots, costs=costs)
 
     def _compared(self, number: int, row: int, col: int, side: int) -> _Spots:
         """Costs per pixel of the translations of a piece over a place."""
@@ -435,6 +465,7 @@ def _canvas(pieces: list[_Piece], size: tuple[int, int], periodic: bool) -> _Can
         torch.zeros(size, dtype=torch.bool, device=like.device),
         source.new_zeros(*size, 3),
         torch.zeros(size, dtype=torch.long, device=like.device),
+        torch.zeros(size, dtype=torch.long, device=like.device),
         like.new_zeros(size),
         periodic,
     )
@@ -458,7 +489,8 @@ def _pieces(
                     source = copied(positions, shapes)
                     usable = source.apply(marks)[0] >= 1
                     if bool(usable.any()):
-                        pieces.append(_piece(source.apply(zs), positions, usable))
+                        places = _places(positions, shapes)
+                        pieces.append(_piece(source.apply(zs), positions, places, usable))
     if not pieces:
         raise ValueError("masks leave no pixel of a scaled exemplar; widen them")
     return pieces
@@ -476,7 +508,14 @@ def _positions(number: int, height: int, width: int, scale: float, whole: bool) 
     return found.round().long() if whole else found.float()  # as they are kept in files
 
 
-def _piece(image: Tensor, positions: Tensor, usable: Tensor) -> _Piece:
+def _places(positions: Tensor, shapes: list[tuple[int, int]]) -> Tensor:
+    number = int(positions[0, 0, 0])
+    before = sum(h * w for h, w in shapes[:number])
+    nearest = positions[..., 1:].round().long()
+    return before + nearest[..., 0] * shapes[number][1] + nearest[..., 1]
+
+
+def _piece(image: Tensor, positions: Tensor, places: Tensor, usable: Tensor) -> _Piece:
     views = patch_views(image)
     # a neighbor that may not be used is taken to look like the pixel itself
     known = patch_views(usable[None].to(image)) > 0
@@ -484,7 +523,7 @@ def _piece(image: Tensor, positions: Tensor, usable: Tensor) -> _Piece:
     part = image[:, usable].double()
     variance = float((part - part.mean(1, keepdim=True)).square().mean(1).sum())
     search = ssd_search(image, None if bool(usable.all()) else usable)
-    return _Piece(image, views, positions, usable, search, variance)
+    return _Piece(image, views, positions, places, usable, search, variance)
 
 
 def _solved(canvas: _Canvas, texture: Tensor) -> Tensor:
@@ -501,7 +540,7 @@ def _solved(canvas: _Canvas, texture: Tensor) -> Tensor:
 def _fitted(placement: SubPatch, pieces: list[_Piece], size: tuple[int, int]) -> SubPatch:
     least, canvas = min(min(p.shape) for p in pieces), min(size)
     if placement.patch is None:
-        return SubPatch(max(1, min(least // 3, canvas)), placement.k)
+        return replace(placement, patch=max(1, min(least // 3, canvas)))
     if placement.patch > least:
         raise ValueError(
             f"patch={placement.patch} is larger than an exemplar, scaled, of {least} pixels; "
@@ -515,9 +554,11 @@ def _fitted(placement: SubPatch, pieces: list[_Piece], size: tuple[int, int]) ->
     return placement
 
 
-def _check_k(k: float) -> None:
+def _check_draw(k: float, spread: float) -> None:
     if not 0 < k < float("inf"):
         raise ValueError(f"k={k} must be above 0, and finite")
+    if not 0 <= spread < float("inf"):
+        raise ValueError(f"spread={spread} must be at least 0, and finite")
 
 
 def _check_options(
