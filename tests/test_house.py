@@ -44,11 +44,13 @@ FLOORS = (
 FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}
 
 PUBLIC = {
-    "Auto", "Blocks", "Checkpoint", "Chunked", "ClosedForm", "Clustered", "Descend", "Exact", "Gradients",
-    "Grid", "Guide", "HalfStep", "LabelField", "Level", "Objective", "Pixels", "Progress",
-    "RandomNeighborhoods", "Result", "Search", "SoftConstraint", "Stack", "TextureEnergy",
-    "TextureModel", "Wavelets", "data", "default_schedule", "em", "exact_search", "fast_search",
-    "image", "metrics", "synthesize", "texture_model", "wavelets",
+    "Auto", "Blocks", "Checkpoint", "Chunked", "ClosedForm", "Clustered", "Descend", "Exact",
+    "Gradients", "Grid", "Guide", "HalfStep", "LabelField", "Level", "Montage", "Objective",
+    "Pixels", "Progress", "RandomNeighborhoods", "Result", "Search", "SoftConstraint",
+    "SourceField", "Stack", "Stage", "Stroke", "TextureEnergy", "TextureModel", "WangSet",
+    "Wavelets", "blend", "brush", "cyclic", "data", "default_schedule", "edit", "em",
+    "exact_search", "fast_search", "graphcut", "image", "metrics", "patchwise", "quilt",
+    "synthesize", "texture_model", "transfer", "wang_tiles", "wavelets",
 }  # fmt: skip
 
 

@@ -41,7 +41,9 @@ def test_readme_runs(
     made = {path.name for path in tmp_path.iterdir()}
     assert made == {
         "gravel.png", "gravel.npz", "again.png", "mixed.png", "tile.png", "height.png",
-        "gravel-height.png",
+        "gravel-height.png", "mark.png", "quilt.png", "cut.png", "seams.png", "patches.png",
+        "atlas.png", "atlas.json", "wang.png", "cyclic.png", "cyclic_3x3.png", "moved.png",
+        "blended.png",
     }  # fmt: skip
 
 
