@@ -162,7 +162,7 @@ def random_placement(
 def guided(
     problem: Analogy,
     *,
-    weight: float = 4.0,
+    weight: float = 2.0,
     r: float = 0.8,
     seed: int = 0,
     on_step: Callable[[Progress], None] | None = None,
