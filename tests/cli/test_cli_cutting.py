@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import pytest
 import torch
+from conftest import Done, Run, pixels
 from torch import Tensor
 
 import torchtex.cuts.mincut as mincut
@@ -15,30 +16,6 @@ from torchtex import cli
 from torchtex import image as images
 
 SIZE = ("-o", "x.png", "--size", "40x44", "--quiet")
-
-
-class Done(NamedTuple):
-    code: int
-    out: str
-    err: str
-
-
-Run = Callable[..., Done]
-
-
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Iterator[Run]:
-    threads = torch.get_num_threads()
-
-    def call(*arguments: object) -> Done:
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as caught:
-            cli.main([str(argument) for argument in arguments])
-        assert isinstance(caught.value.code, int)
-        return Done(caught.value.code, *capsys.readouterr())
-
-    yield call
-    torch.set_num_threads(threads)
 
 
 @pytest.fixture
@@ -57,10 +34,6 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     images.save("alpha.png", torch.cat([colour, 1 - half]))
     Path("text.png").write_text("no picture")
     return tmp_path
-
-
-def pixels(path: str) -> Tensor:
-    return images.load(path).image
 
 
 def test_all_that_it_writes(run: Run, here: Path) -> None:
@@ -83,7 +56,7 @@ def test_all_that_it_writes(run: Run, here: Path) -> None:
         (),
         ("--placement", "random"),
         ("--placement", "entire", "--k", "0.1", "--no-gradient"),
-        ("--patch", "9", "--k", "0.002", "--refine", "3"),
+        ("--patch", "9", "--k", "0.002", "--spread", "1", "--refine", "3"),
         ("--turns", "--mirrors", "--scales", "0.8,1,1.25"),
         ("--poisson", "--boundary", "periodic", "--seed", "5"),
         ("--mask", "left.png", "--bits", "16"),
@@ -132,6 +105,8 @@ BAD: list[tuple[str, tuple[str, ...]]] = [
     ("k=0.0 must be above 0", ("z.png", *SIZE, "--k", "0")),
     ("k=nan must be above 0", ("z.png", *SIZE, "--k", "nan", "--placement", "entire")),
     ("k=1.0 belongs to", ("z.png", *SIZE, "--k", "1", "--placement", "random")),
+    ("spread=-1.0", ("z.png", *SIZE, "--spread", "-1")),
+    ("spread=1.0 belongs to", ("z.png", *SIZE, "--spread", "1", "--placement", "random")),
     ("refine=-1", ("z.png", *SIZE, "--refine", "-1")),
     ("--refine", ("z.png", *SIZE, "--refine", "many")),
     ("scales=0.0 must lie", ("z.png", *SIZE, "--scales", "1,0")),

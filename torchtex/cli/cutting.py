@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -55,6 +56,10 @@ def graphcut(
     k: Annotated[
         float | None, typer.Option(help="How freely patches are drawn: 0.001 strict, 1 free.")
     ] = None,
+    spread: Annotated[
+        float | None,
+        typer.Option(help="How strongly the parts of the exemplar take turns; 0: not."),
+    ] = None,
     refine: Annotated[
         int | None, typer.Option(help="Patches laid over the worst seams; else by the size.")
     ] = None,
@@ -90,7 +95,7 @@ def graphcut(
 ) -> None:
     """Make a texture of overlapping copies of the exemplars, joined along seams of least cost."""
     extent = parse_size(size)
-    where = _placement(placement, patch, k)
+    where = _placement(placement, patch, k, spread)
     factors = parse_scales(scales)
     choose("boundary", boundary, BOUNDARIES)
     drawn = list(mask or ())
@@ -151,19 +156,20 @@ def parse_scales(text: str) -> tuple[float, ...]:
     return tuple(float(part) for part in parts)
 
 
-def _placement(name: str, patch: int | None, k: float | None) -> "Placement":
+def _placement(name: str, patch: int | None, k: float | None, spread: float | None) -> "Placement":
     choose("placement", name, PLACEMENTS)
     if patch is not None and name != "sub":
         raise ValueError(f"patch={patch} belongs to placement sub; leave it out, or choose sub")
-    if k is not None and name == "random":
-        raise ValueError(f"k={k} belongs to placements entire and sub; leave it out")
+    for option, value in (("k", k), ("spread", spread)):
+        if value is not None and name == "random":
+            raise ValueError(f"{option}={value} belongs to placements entire and sub; leave it out")
     from torchtex.recipes.graphcut import EntirePatch, Random, SubPatch
 
     if name == "random":
         return Random()
-    if name == "entire":
-        return EntirePatch() if k is None else EntirePatch(k)
-    return SubPatch(patch) if k is None else SubPatch(patch, k)
+    made = EntirePatch() if name == "entire" else SubPatch(patch)
+    made = made if k is None else replace(made, k=k)
+    return made if spread is None else replace(made, spread=spread)
 
 
 def _solver(name: str | None) -> "MinCut":

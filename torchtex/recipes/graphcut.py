@@ -223,7 +223,8 @@ def graphcut(
     Args:
         exemplars: one image, or several with equal channels.
         size: (height, width) of the texture.
-        placement: where patches go; None for `SubPatch()`.
+        placement: where patches go; None for `SubPatch()`, which repeats itself less than
+            `EntirePatch()` does and has seams as good; that one keeps weaves straighter.
         gradient: seams cost less along edges of the picture, where they are hardly seen.
         refine: placements over the worst seams, after the canvas is full; None for as many as
             suit its size.
@@ -428,14 +429,7 @@ class _Run:
                 costs = piece.search(canvas.views[0][:, index[0], index[1]][None], known)[0]
                 costs = costs.flip(0, 1) / known.sum()
                 return _Spots(number, top - hz + extent, left - wz + extent, costs)
-        # where there is something above or to the left, by a margin
-        back = [side // 2 if side > 1 else min(at, n // MARGIN)
-                for at, n in ((row, hz), (col, wz))]  # fmt: skip
-        high = (row - back[0], col - back[1])
-        low = (max(row - hz + 1 + side // 2, high[0] - hz // 2),
-               max(col - wz + 1 + side // 2, high[1] - wz // 2))  # fmt: skip
-        if side > 1:
-            low = (row - hz + 1 + side // 2, col - wz + 1 + side // 2)
+        low, high = zip(_reach(row, hz, side), _reach(col, wz, side), strict=True)
         rows, cols = max(high[0] - low[0], 0) + 1, max(high[1] - low[1], 0) + 1
         if not isinstance(self.placement, EntirePatch) or not bool(canvas.filled.any()):
             return _Spots(number, *low, piece.image.new_zeros(rows, cols))
@@ -452,6 +446,15 @@ class _Run:
     def _tell(self, done: float, note: str) -> None:
         if self.on_step is not None:
             self.on_step(Stage(min(done, 1.0), note, self.canvas.views[0].clone()))
+
+
+def _reach(at: int, extent: int, side: int) -> tuple[int, int]:
+    """First and last translation, along an axis, of a piece over a square around a place."""
+    if side > 1:
+        return at - extent + 1 + side // 2, at - side // 2
+    # a pixel: overlap by a margin what is before it, and leave half of the piece for what is after
+    last = at - min(at, extent // MARGIN)
+    return max(at - extent + 1, last - extent // 2), last
 
 
 def _total(views: Float[Tensor, "5 c h w"], gradient: bool) -> float:
