@@ -1,7 +1,11 @@
-"""Shared by all tests: one thread, and small made-up images."""
+"""Shared by all tests: one thread, small made-up images, the command line, the min-cuts.
+
+torchtex is imported inside functions: shape checks begin after this file is read.
+"""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, NamedTuple
 
 # read when torch is loaded: idle threads sleep, so two threads are quick even on busy cores
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -10,6 +14,9 @@ import jaxtyping
 import pytest
 import torch
 from torch import Tensor
+
+if TYPE_CHECKING:
+    from torchtex.cuts.mincut import MinCut
 
 
 @pytest.fixture(autouse=True)
@@ -51,3 +58,54 @@ def unchecked() -> Iterator[None]:
     jaxtyping.config.update("jaxtyping_disable", True)
     yield
     jaxtyping.config.update("jaxtyping_disable", False)
+
+
+class Done(NamedTuple):
+    """What a command left behind."""
+
+    code: int
+    out: str
+    err: str
+
+
+Run = Callable[..., Done]
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Iterator[Run]:
+    """Runs the command line with arguments of any type."""
+    from torchtex import cli
+
+    threads = torch.get_num_threads()
+
+    def call(*arguments: object) -> Done:
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as caught:
+            cli.main([str(argument) for argument in arguments])
+        assert isinstance(caught.value.code, int)
+        return Done(caught.value.code, *capsys.readouterr())
+
+    yield call
+    torch.set_num_threads(threads)
+
+
+def pixels(path: str) -> Tensor:
+    """The picture in a file."""
+    from torchtex import image as images
+
+    return images.load(path).image
+
+
+@pytest.fixture(params=["pymaxflow", "ortools"])
+def solver(request: pytest.FixtureRequest) -> "MinCut":
+    """Each min-cut that is installed."""
+    return named_solver(request.param)
+
+
+def named_solver(name: str) -> "MinCut":
+    """The min-cut of that name; skips the test if it is not installed."""
+    from torchtex.cuts.mincut import OrTools, PyMaxflow, solvers
+
+    if not solvers()[name]:
+        pytest.skip(f"{name} is not installed")
+    return PyMaxflow() if name == "pymaxflow" else OrTools()

@@ -6,16 +6,15 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from conftest import Done, Run, pixels
 from PIL import Image
-from torch import Tensor
 
 import torchtex
 from torchtex import cli, data
@@ -25,30 +24,6 @@ from torchtex.labels import LabelField
 
 ROOT = Path(torchtex.__file__).parent.parent
 SMALL = ("--size", "40x44", "--schedule", "0.5:8:1,1:8:2", "--quiet")
-
-
-class Done(NamedTuple):
-    code: int
-    out: str
-    err: str
-
-
-Run = Callable[..., Done]
-
-
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Iterator[Run]:
-    threads = torch.get_num_threads()
-
-    def call(*arguments: object) -> Done:
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as caught:
-            cli.main([str(argument) for argument in arguments])
-        assert isinstance(caught.value.code, int)
-        return Done(caught.value.code, *capsys.readouterr())
-
-    yield call
-    torch.set_num_threads(threads)
 
 
 @pytest.fixture
@@ -89,10 +64,6 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     Path("text.npz").write_text("no labels")
     Path("folder").mkdir()
     return tmp_path
-
-
-def pixels(path: str) -> Tensor:
-    return images.load(path).image
 
 
 # ------------------------------------------------------------------------------- results

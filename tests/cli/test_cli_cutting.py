@@ -2,17 +2,13 @@
 
 import json
 import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 import torch
 from conftest import Done, Run, pixels
-from torch import Tensor
 
 import torchtex.cuts.mincut as mincut
-from torchtex import cli
 from torchtex import image as images
 
 SIZE = ("-o", "x.png", "--size", "40x44", "--quiet")

@@ -2,15 +2,13 @@
 
 import json
 import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 import torch
-from torch import Tensor
+from conftest import Done, Run, pixels
 
-from torchtex import cli
 from torchtex import image as images
 from torchtex.cli.edits import marks_in, written_mark
 from torchtex.recipes.blend import blend
@@ -18,30 +16,6 @@ from torchtex.recipes.local_edit import Objects, Stroke, brush, edit
 from torchtex.sources import SourceField
 
 SIZE = (40, 48)
-
-
-class Done(NamedTuple):
-    code: int
-    out: str
-    err: str
-
-
-Run = Callable[..., Done]
-
-
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Iterator[Run]:
-    threads = torch.get_num_threads()
-
-    def call(*arguments: object) -> Done:
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as caught:
-            cli.main([str(argument) for argument in arguments])
-        assert isinstance(caught.value.code, int)
-        return Done(caught.value.code, *capsys.readouterr())
-
-    yield call
-    torch.set_num_threads(threads)
 
 
 @pytest.fixture
@@ -68,10 +42,6 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def save_mark(path: str, size: tuple[int, int]) -> None:
     """A dab, as a picture."""
     images.save(path, brush(size, [(14.0, 15.0)], 5.0)[None].float())
-
-
-def pixels(path: str) -> Tensor:
-    return images.load(path).image
 
 
 def written(content: Any) -> str:

@@ -3,50 +3,22 @@
 import json
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 import torch
-from torch import Tensor
+from conftest import Done, Run, pixels
 
-from torchtex import cli
 from torchtex import image as images
 from torchtex.recipes import quilting
 from torchtex.recipes.montage import Stage
 from torchtex.sources import SourceField
 
-# typer gives commands a context that is no typer.Context, which shape checks would refuse
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 OUT = ("-o", "x.png", "--quiet")
 SIZE = (*OUT, "--size", "40x44")
 COMMANDS = ("quilt", "patchwise")
-
-
-class Done(NamedTuple):
-    code: int
-    out: str
-    err: str
-
-
-Run = Callable[..., Done]
-
-
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Iterator[Run]:
-    threads = torch.get_num_threads()
-
-    def call(*arguments: object) -> Done:
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as caught:
-            cli.main([str(argument) for argument in arguments])
-        assert isinstance(caught.value.code, int)
-        return Done(caught.value.code, *capsys.readouterr())
-
-    yield call
-    torch.set_num_threads(threads)
 
 
 @pytest.fixture
@@ -67,10 +39,6 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     images.save("pixel.png", colour[:, :1, :1])
     Path("text.png").write_text("no picture")
     return tmp_path
-
-
-def pixels(path: str) -> Tensor:
-    return images.load(path).image
 
 
 @pytest.mark.parametrize("command", COMMANDS)

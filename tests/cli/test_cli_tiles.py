@@ -1,38 +1,13 @@
 """`torchtex cyclic`, `wang` and `wang-tile`: results, repeat, sentences for bad input."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 import torch
-from conftest import noise, stripes
-from torch import Tensor
+from conftest import Done, Run, noise, pixels, stripes
 
-from torchtex import cli
 from torchtex import image as images
-
-
-class Done(NamedTuple):
-    code: int
-    out: str
-    err: str
-
-
-Run = Callable[..., Done]
-
-
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Run:
-    def call(*arguments: object) -> Done:
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as caught:
-            cli.main([str(argument) for argument in arguments])
-        assert isinstance(caught.value.code, int)
-        return Done(caught.value.code, *capsys.readouterr())
-
-    return call
 
 
 @pytest.fixture
@@ -48,10 +23,6 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     Path("text.png").write_text("no picture")
     Path("folder_2x2.png").mkdir()
     return tmp_path
-
-
-def pixels(path: str) -> Tensor:
-    return images.load(path).image
 
 
 WANG = ("--tile", "16", "--quiet")

@@ -19,14 +19,7 @@ from torchtex.cuts.expansion import (
     expand,
     label_energy,
 )
-from torchtex.cuts.mincut import MinCut, OrTools, PyMaxflow, grid_edges, solvers
-
-
-@pytest.fixture(params=["pymaxflow", "ortools"])
-def solver(request: pytest.FixtureRequest) -> MinCut:
-    if not solvers()[request.param]:
-        pytest.skip(f"{request.param} is not installed")
-    return PyMaxflow() if request.param == "pymaxflow" else OrTools()
+from torchtex.cuts.mincut import MinCut, grid_edges
 
 
 class Anything:

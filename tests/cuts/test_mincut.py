@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from conftest import noise
+from conftest import named_solver, noise
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
@@ -26,17 +26,6 @@ from torchtex.cuts.mincut import (
 inf = float("inf")
 QUARTERS = st.integers(-12, 12).map(lambda n: n / 4)  # sums of these are exact
 CAPACITIES = st.one_of(st.just(0.0), st.integers(0, 12).map(lambda n: n / 4))
-
-
-@pytest.fixture(params=["pymaxflow", "ortools"])
-def solver(request: pytest.FixtureRequest) -> MinCut:
-    return made(request.param)
-
-
-def made(name: str) -> MinCut:
-    if not solvers()[name]:
-        pytest.skip(f"{name} is not installed")
-    return PyMaxflow() if name == "pymaxflow" else OrTools()
 
 
 def labelings(n: int) -> Tensor:
@@ -72,7 +61,7 @@ def problems(draw: st.DrawFn) -> tuple[Tensor, Tensor, Tensor]:
 
 @pytest.mark.parametrize("name", ["pymaxflow", "ortools"])
 def test_equals_brute_force_over_all_labelings(name: str) -> None:
-    solver = made(name)
+    solver = named_solver(name)
 
     @settings(max_examples=120, deadline=None, derandomize=True)
     @given(problems())
@@ -104,8 +93,8 @@ def test_back_ends_agree_on_a_larger_grid() -> None:
     unary = torch.zeros(24, 31, 2, dtype=torch.float64)
     unary[:, 0, 1], unary[:, -1, 0] = inf, inf
     right, down = noise(24, 30, 2, seed=3), noise(23, 31, 2, seed=4)
-    first = cut_grid(unary, right, down, made("pymaxflow"))
-    assert torch.equal(first, cut_grid(unary, right, down, made("ortools")))
+    first = cut_grid(unary, right, down, named_solver("pymaxflow"))
+    assert torch.equal(first, cut_grid(unary, right, down, named_solver("ortools")))
     assert 0 < first.double().mean() < 1
 
 

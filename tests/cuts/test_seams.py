@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from torchtex.cuts.mincut import MinCut, OrTools, PyMaxflow, cut_energy, grid_edges, solvers
+from torchtex.cuts.mincut import MinCut, cut_energy, grid_edges
 from torchtex.cuts.seams import (
     FLOOR,
     cut_patch,
@@ -24,13 +24,6 @@ from torchtex.cuts.seams import (
     seam_costs,
     seam_energy,
 )
-
-
-@pytest.fixture(params=["pymaxflow", "ortools"])
-def solver(request: pytest.FixtureRequest) -> MinCut:
-    if not solvers()[request.param]:
-        pytest.skip(f"{request.param} is not installed")
-    return PyMaxflow() if request.param == "pymaxflow" else OrTools()
 
 
 def labelings(h: int, w: int) -> Tensor:
