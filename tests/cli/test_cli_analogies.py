@@ -2,38 +2,15 @@
 
 import builtins
 import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 import torch
-from conftest import noise, stripes
+from conftest import Done, Run, noise, pixels, stripes
 from torch import Tensor
 
-from torchtex import cli
 from torchtex import image as images
-
-
-class Done(NamedTuple):
-    code: int
-    out: str
-    err: str
-
-
-Run = Callable[..., Done]
-
-
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Run:
-    def call(*arguments: object) -> Done:
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as caught:
-            cli.main([str(argument) for argument in arguments])
-        assert isinstance(caught.value.code, int)
-        return Done(caught.value.code, *capsys.readouterr())
-
-    return call
 
 
 def regions(h: int, w: int, first: float, second: float) -> Tensor:
@@ -56,10 +33,6 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     images.save("grey.png", noise(1, 32, 36))
     Path("text.png").write_text("no picture")
     return tmp_path
-
-
-def pixels(path: str) -> Tensor:
-    return images.load(path).image
 
 
 BASE = ("--source", "s.png", "--mapped", "q.png", "--constraint", "c.png", "-o", "x.png")

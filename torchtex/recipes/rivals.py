@@ -107,7 +107,8 @@ def random_placement(
     Args:
         K, N, turns, mirrors, solver: as in `cms`.
         moves: that are tried, once every pixel has a label; None for no limit.
-        seconds: that all may take; None for no limit. The result then depends on the machine.
+        seconds: of the processor that all may take; None for no limit. The result then depends
+            on the machine.
 
     Raises:
         ValueError: an option that makes no sense, or neither limit.
@@ -120,7 +121,7 @@ def random_placement(
         >>> random_placement(Analogy.of(z, z, z), N=2, moves=20).tried >= 20
         True
     """
-    started = time.perf_counter()
+    started, begun = time.perf_counter(), time.process_time()
     check_window(K, N)
     _check_limits(moves, seconds, seed)
     solver = default_solver() if solver is None else solver
@@ -130,7 +131,7 @@ def random_placement(
     with threads(1):
         canvas = _Canvas(problem, variants(problem, turns=turns, mirrors=mirrors), K, N, solver)
         full = False
-        while not full or _goes_on(improving, moves, time.perf_counter() - started, seconds):
+        while not full or _goes_on(improving, moves, time.process_time() - begun, seconds):
             label = _drawn(canvas.size, [v.image.shape[1:] for v in canvas.variants], generator)
             changed, _ = canvas.expand(label)
             tried += 1
@@ -140,7 +141,7 @@ def random_placement(
                 kept.append(CmsMove(place, label, changed, canvas.energy))
                 full = full or bool(canvas.known.all())
             if on_step is not None:
-                spent = _spent(improving, moves, time.perf_counter() - started, seconds)
+                spent = _spent(improving, moves, time.process_time() - begun, seconds)
                 note = "improving" if full else "filling"
                 detail = f"E' {canvas.energy:.6g}, {len(kept)} of {tried} moves"
                 on_step(Stage(min(spent, 1.0), note, canvas.views[0].clone(), detail))
