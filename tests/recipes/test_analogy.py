@@ -208,6 +208,13 @@ def test_detail_of_a_picture_for_itself_is_that_picture() -> None:
     assert analogy.sharpness_ratio(made.constraints[0], sharp) < 0.5
 
 
+def test_back_projection_meets_the_small_picture_and_keeps_detail() -> None:
+    sharp, low = 0.2 + 0.5 * noise(3, 24, 20), 0.3 + 0.3 * noise(3, 6, 5, seed=1)
+    found = analogy.back_projected(sharp, low, 4)
+    assert analogy.detail_error(found, low, 4) < 0.02 < analogy.detail_error(sharp, low, 4)
+    assert analogy.sharpness_ratio(found, sharp) > 0.9
+
+
 def test_bad_details_are_refused() -> None:
     with pytest.raises(ValueError, match="factor=1 must be above 1"):
         analogy.detail_problem(S, S, 1)

@@ -329,7 +329,7 @@ class _Canvas:
     def _rim(self, offer: _Offer, gain: Tensor) -> None:
         """Adds the pairs of a pixel inside the rectangle and one outside, which keeps its label."""
         box, (h, w), (rows, cols) = offer.box, self.size, offer.box.at
-        # our line of pixels, those across, the present costs, and the views that look there and back
+        # our line, that across, the present costs, and the views that look there and back
         every = slice(None)
         sides: list[tuple[Tensor, tuple[Any, Any], tuple[Any, Any], Tensor, int, int]] = []
         if box.bottom < h:

@@ -1,0 +1,220 @@
+"""Constrained synthesis: the energy never rises, is what it is said to be, and finds copies."""
+
+from itertools import pairwise, product
+
+import pytest
+import torch
+from conftest import noise, stripes
+from torch import Tensor
+
+from torchtex.cuts.mincut import OrTools, PyMaxflow
+from torchtex.recipes import cms as module
+from torchtex.recipes.analogy import Analogy, energy, match_error, render, variants
+from torchtex.recipes.cms import cms
+from torchtex.recipes.montage import Stage
+
+
+def numbers(h: int, w: int, slope: float) -> Tensor:
+    """A map of two regions, with a slanted border."""
+    row = torch.arange(h, dtype=torch.float64)[:, None]
+    col = torch.arange(w, dtype=torch.float64)[None]
+    return (row > h / 2 + slope * (col - w / 2)).double()[None]
+
+
+def painting() -> Analogy:
+    """Stripes above, noise below; the constraint has another border."""
+    mapped = numbers(26, 32, 0.1)
+    source = torch.where(mapped > 0, stripes(26, 32), 0.5 * noise(3, 26, 32, seed=1))
+    return Analogy.of(source, mapped, numbers(30, 24, -0.4))
+
+
+def several() -> Analogy:
+    """Two sources of different size, two constraints."""
+    sources = noise(3, 18, 22, seed=1), stripes(24, 16)
+    mapped = tuple((s[:1] * 0.7, s[1:]) for s in sources)
+    constraints = noise(1, 21, 23, seed=3), noise(2, 21, 23, seed=4)
+    return Analogy(sources, mapped, constraints, (1.0, 0.5))
+
+
+PROBLEMS = [painting, several]
+
+
+@pytest.mark.parametrize("make", PROBLEMS)
+@pytest.mark.parametrize("mirrors", [False, True])
+def test_energy_falls_with_every_move_and_equals_a_count_from_scratch(
+    make: type[Analogy], mirrors: bool
+) -> None:
+    problem = make()
+    result = cms(problem, K=0.5, N=2, apart=4, tolerance=0.1, mirrors=mirrors, seed=3)
+    energies = [move.energy for move in result.moves]
+    assert all(after < before for before, after in pairwise(energies))
+    assert energies[-1] == pytest.approx(result.energies.minimised, rel=1e-9)
+    again = energy(problem, result.labeling, K=0.5, N=2)
+    assert again == result.energies
+
+
+@pytest.mark.parametrize("make", PROBLEMS)
+def test_all_that_is_kept_between_moves_equals_a_count_from_scratch(
+    make: type[Analogy],
+) -> None:
+    problem, checked = make(), 0
+    canvas = module._Canvas(problem, variants(problem), 0.8, 2, PyMaxflow())
+    run = module._Run(canvas, 3, 5, torch.Generator().manual_seed(0), None)
+
+    def step(_: Stage) -> None:
+        nonlocal checked
+        if not bool(canvas.known.all()):
+            return
+        labeling = module.Labeling(canvas.labels, canvas.variants)
+        whole = energy(problem, labeling, K=0.8, N=2)
+        assert canvas.energy == pytest.approx(whole.minimised, rel=1e-8)
+        fresh = match_error(problem, labeling, K=0.8, N=2)
+        torch.testing.assert_close(canvas.error, fresh, rtol=1e-8, atol=1e-8)
+        checked += 1
+
+    run.on_step = step
+    run.go(0.1, 4, None)
+    assert checked >= 4
+
+
+def test_search_equals_the_improvement_by_its_definition() -> None:
+    problem, K, N = several(), 0.8, 2
+    canvas = module._Canvas(problem, variants(problem), K, N, PyMaxflow())
+    run = module._Run(canvas, 3, 5, torch.Generator().manual_seed(0), None)
+    run.go(1e9, 1, 0)
+    for place in ((0, 0), (10, 11), (20, 3)):
+        costs = canvas.costs(*place)
+        for number, i, j in ((0, 3, 4), (1, 0, 0), (6, 23, 15)):
+            label = number, place[0] - i, place[1] - j
+            kind, total = canvas.variants[number], 0.0
+            for a, b in product(range(-N, N + 1), repeat=2):
+                p = place[0] + a, place[1] + b
+                if not (0 <= p[0] < 21 and 0 <= p[1] < 23):
+                    continue
+                h, w = kind.image.shape[1:]
+                r, c = min(max(p[0] - label[1], 0), h - 1), min(max(p[1] - label[2], 0), w - 1)
+                total += K * float(
+                    (kind.mapped[:, r, c] - canvas.guide[:, p[0], p[1]]).square().sum()
+                )
+                total += float(
+                    (kind.image[:, r, c] - canvas.views[0][:, p[0], p[1]]).square().sum()
+                )
+            assert float(costs[number][i, j]) == pytest.approx(total, rel=1e-8)
+
+
+@pytest.mark.parametrize("solver", [PyMaxflow(), OrTools()])
+@pytest.mark.parametrize("sparse", [0.0, 1.0])
+def test_decided_pixels_do_not_change_the_minimum(
+    solver: PyMaxflow | OrTools, sparse: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "SPARSE", sparse)
+    every = torch.tensor(list(product((False, True), repeat=12))).view(-1, 3, 4)
+    for seed in range(20):
+        gain = 3 * (noise(3, 4, seed=seed) - 0.5)
+        right, down = noise(3, 3, seed=seed + 50), noise(2, 4, seed=seed + 90)
+        costs = (
+            (gain * every).sum((1, 2))
+            + (right * (~every[..., :-1] & every[..., 1:])).sum((1, 2))
+            + (down * (~every[:, :-1] & every[:, 1:])).sum((1, 2))
+        )
+        found = module._solve(gain, right, down, solver)
+        own = costs[(every == found).all(2).all(1)]
+        assert float(own) == pytest.approx(float(costs.min()), abs=1e-9)
+
+
+def test_an_exemplar_is_its_own_analogy() -> None:
+    z = noise(3, 24, 20)
+    result = cms(Analogy.of(z, z, z), K=1.0, N=2, tolerance=0.0)
+    assert torch.equal(result.texture, z)
+    assert len(result.labeling.labels.flatten(0, 1).unique(dim=0)) == 1
+    assert result.energies.minimised == 0
+
+
+def test_a_turned_exemplar_is_found_only_with_turns() -> None:
+    z = noise(3, 24, 20)
+    turned = z.rot90(1, (1, 2)).contiguous()
+    assert torch.equal(cms(Analogy.of(z, z, turned), N=2, tolerance=0.0).texture, turned)
+    flat = cms(Analogy.of(z, z, turned), N=2, tolerance=1.0, apart=4, turns=False)
+    assert not torch.equal(flat.texture, turned)
+    mirrored = z.flip(2).contiguous()
+    found = cms(Analogy.of(z, z, mirrored), N=2, tolerance=0.0, turns=False, mirrors=True)
+    assert torch.equal(found.texture, mirrored)
+
+
+def test_regions_hold_what_their_number_asks_for() -> None:
+    problem = painting()
+    result = cms(problem, K=0.5, N=2, apart=4, tolerance=0.5)
+    shown = render(result.labeling, [m[0] for m in problem.mapped])
+    assert float((shown != problem.constraints[0]).double().mean()) < 0.06
+
+
+def test_the_source_with_the_right_mapping_is_taken() -> None:
+    dark, light = 0.3 * noise(3, 16, 16), 0.7 + 0.3 * noise(3, 16, 16, seed=1)
+    zeros, ones = torch.zeros(1, 16, 16).double(), torch.ones(1, 16, 16).double()
+    problem = Analogy((dark, light), ((zeros,), (ones,)), (torch.ones(1, 20, 20).double(),))
+    result = cms(problem, K=2.0, N=2, apart=4, tolerance=0.1)
+    assert bool((result.montage.source_map[..., 0] == 1).all())
+
+
+def test_texture_is_rendered_from_the_field_and_patches_are_labels() -> None:
+    problem = several()
+    result = cms(problem, K=0.5, N=2, apart=4, tolerance=0.5, mirrors=True)
+    montage = result.montage
+    assert torch.equal(montage.apply(list(problem.sources)), result.texture)
+    labels = result.labeling.labels.flatten(0, 1)
+    assert int(montage.patches.max()) + 1 == len(labels.unique(dim=0)) > 3
+    assert len(montage.patches.unique()) == int(montage.patches.max()) + 1
+    assert montage.report()["settings"]["tolerance"] == 0.5
+
+
+def test_same_seed_same_pixels_for_any_threads() -> None:
+    first = cms(several(), K=0.5, N=2, apart=4, tolerance=0.5, seed=5)
+    torch.set_num_threads(2)
+    second = cms(several(), K=0.5, N=2, apart=4, tolerance=0.5, seed=5)
+    assert torch.equal(first.labeling.labels, second.labeling.labels)
+    assert first.moves == second.moves
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_dtype_is_kept(dtype: torch.dtype) -> None:
+    z = noise(1, 12, 12, dtype=dtype)
+    result = cms(Analogy.of(z, z, z[:, :1, :7]), K=0.0, N=3, max_moves=0)
+    assert result.texture.dtype == dtype
+    assert result.texture.shape == (1, 1, 7)
+
+
+def test_no_pixel_is_left_without_a_label_however_few_moves_are_allowed() -> None:
+    problem = Analogy.of(noise(3, 6, 5), noise(1, 6, 5), noise(1, 30, 31))
+    result = cms(problem, K=1.0, N=2, apart=2, max_moves=0)
+    assert result.moves[-1].energy == pytest.approx(result.energies.minimised, rel=1e-9)
+
+
+def test_progress_is_told_and_can_cancel() -> None:
+    stages: list[Stage] = []
+    cms(painting(), K=0.5, N=2, apart=4, tolerance=1.0, on_step=stages.append)
+    assert all(a.done <= b.done for a, b in pairwise(stages))
+    assert all(word in stages[-1].detail for word in ("E'", "moves", "worst at"))
+
+    def cancel(_: Stage) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        cms(painting(), on_step=cancel)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"K": -1.0}, r"K=-1.0 must be at least 0"),
+        ({"N": 0}, "N=0 must be at least 1"),
+        ({"candidates": 0}, "candidates=0 must be at least 1"),
+        ({"apart": 0}, "apart=0 must be at least 1"),
+        ({"history": 0}, "history=0 must be at least 1"),
+        ({"tolerance": -1.0}, r"tolerance=-1.0 must be at least 0"),
+        ({"max_moves": -1}, "max_moves=-1 must be at least 0"),
+        ({"seed": -1}, "seed=-1 must lie in"),
+    ],
+)
+def test_bad_options_are_refused(options: dict[str, int], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        cms(painting(), **options)
