@@ -35,9 +35,9 @@ FLOORS = (
     ("controls", "estep", "cuts.seams", "cuts.expansion"),
     ("model",),
     ("labels", "em"),
-    ("schedule", "starts", "carry", "recipes.montage"),
+    ("schedule", "starts", "carry", "recipes.montage", "recipes.inputs", "recipes.correspondence"),
     ("result", "recipes.analogy"),
-    ("synthesize",),
+    ("synthesize", "recipes.quilting", "recipes.cms"),
     ("recipes",),
     ("cli",),
 )

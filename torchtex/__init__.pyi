@@ -25,9 +25,6 @@ from .model import exact_search as exact_search
 from .model import fast_search as fast_search
 from .model import texture_model as texture_model
 from .neighborhoods import Grid as Grid
-from .result import Checkpoint as Checkpoint
-from .result import Progress as Progress
-from .result import Result as Result
 from .recipes.blend import blend as blend
 from .recipes.cyclic import cyclic as cyclic
 from .recipes.graphcut import graphcut as graphcut
@@ -41,6 +38,9 @@ from .recipes.quilting import quilt as quilt
 from .recipes.quilting import transfer as transfer
 from .recipes.wang import WangSet as WangSet
 from .recipes.wang import wang_tiles as wang_tiles
+from .result import Checkpoint as Checkpoint
+from .result import Progress as Progress
+from .result import Result as Result
 from .schedule import Level as Level
 from .schedule import default_schedule as default_schedule
 from .sources import SourceField as SourceField

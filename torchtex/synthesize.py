@@ -1,14 +1,13 @@
 """Coarse to fine: the whole synthesis, and its result."""
 
 import hashlib
-import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from typing import Literal
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from torchtex.carry import carried, composed, weighed_field
@@ -19,6 +18,13 @@ from torchtex.estep import Auto, EStep
 from torchtex.features import Feature, Pixels
 from torchtex.image import check_image, resize
 from torchtex.model import Search, fast_search, texture_model
+from torchtex.recipes.inputs import (
+    Exemplars,
+    Masks,
+    check_exemplars,
+    check_size,
+    matching_masks,
+)
 from torchtex.result import Checkpoint, Progress, Result, Trace
 from torchtex.schedule import (
     Level,
@@ -33,10 +39,10 @@ from torchtex.starts import Blocks, Start
 
 
 def synthesize(
-    exemplars: Float[Tensor, "c _ _"] | Sequence[Float[Tensor, "c _ _"]],
+    exemplars: Exemplars,
     size: tuple[int, int],
     *,
-    masks: Bool[Tensor, "_ _"] | Sequence[Bool[Tensor, "_ _"] | None] | None = None,
+    masks: Masks = None,
     feature: Feature | None = None,
     r: float = 0.8,
     completeness: float = 50.0,
@@ -100,7 +106,7 @@ def synthesize(
     if not completeness >= 0:
         raise ValueError(f"completeness={completeness} must be at least 0")
     zs = [z.detach() for z in zs]
-    keep = _masks(masks, zs)
+    keep = matching_masks(masks, zs)
     plan = planned(zs, keep, height, width, tuple(schedule or default_schedule()))
     if schedule is None:
         plan = roomy(plan, zs)
@@ -199,32 +205,11 @@ def estimate_memory(shapes: Sequence[tuple[int, int]], size: tuple[int, int], ch
 
 
 def _check(zs: Sequence[Tensor], size: tuple[int, int], boundary: str) -> tuple[int, int]:
-    if not zs:
-        raise ValueError("exemplar: none given; give at least one image")
-    for z in zs:
-        check_image(z, "exemplar")
-        if len(z) != len(zs[0]):
-            raise ValueError(
-                f"exemplar: one has {len(zs[0])} channels and another {len(z)}; "
-                "convert them to the same"
-            )
-        if z.dtype not in (torch.float32, torch.float64) or z.dtype != zs[0].dtype:
-            raise TypeError(
-                f"exemplar: {z.dtype} beside {zs[0].dtype}; give all as float32 or all as float64"
-            )
-    height, width = size
-    if height < 1 or width < 1:
-        raise ValueError(f"size={height}x{width} must be at least 1x1; give height x width")
+    check_exemplars(zs)
+    check_size(size, estimate_memory([(z.shape[1], z.shape[2]) for z in zs], size, len(zs[0])))
     if boundary not in ("free", "periodic"):
         raise ValueError(f'boundary="{boundary}" must be "free" or "periodic"')
-    need = estimate_memory([(z.shape[1], z.shape[2]) for z in zs], size, len(zs[0]))
-    have = _memory()
-    if have is not None and need > have:
-        raise ValueError(
-            f"size={height}x{width} would need about {need / 2**30:.1f} GiB of memory and "
-            f"{have / 2**30:.1f} GiB are there; choose a smaller size"
-        )
-    return height, width
+    return size
 
 
 def _check_steering(
@@ -244,35 +229,6 @@ def _check_steering(
                 f"guide of the exemplars: {given} given for exemplars of "
                 f"{', '.join(f'{h}x{w}' for h, w in shapes)}; give one each, of the same size"
             )
-
-
-def _memory() -> int | None:
-    """Bytes of physical memory, where the system tells."""
-    try:
-        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (ValueError, OSError, AttributeError):
-        return None
-
-
-def _masks(
-    masks: Tensor | Sequence[Tensor | None] | None, zs: Sequence[Tensor]
-) -> list[Tensor | None]:
-    if masks is None:
-        return [None] * len(zs)
-    keep: list[Tensor | None] = [masks] if isinstance(masks, Tensor) else list(masks)
-    if len(keep) != len(zs):
-        raise ValueError(f"mask: {len(keep)} given for {len(zs)} exemplars; give one each")
-    for mask, z in zip(keep, zs, strict=True):
-        if mask is None:
-            continue
-        if mask.shape != z.shape[1:]:
-            raise ValueError(
-                f"mask is {mask.shape[0]}x{mask.shape[1]} and its exemplar "
-                f"{z.shape[1]}x{z.shape[2]}; give a mask of the size of the exemplar"
-            )
-        if not bool(mask.any()):
-            raise ValueError("mask is empty: no pixel of the exemplar may be used; widen it")
-    return keep
 
 
 def _digest(image: Tensor) -> str:

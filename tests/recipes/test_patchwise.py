@@ -124,6 +124,8 @@ def test_report_holds_the_settings() -> None:
 
 Z = noise(3, 20, 24)
 NONE = torch.zeros(20, 24, dtype=torch.bool)
+SMALL = NONE.clone()
+SMALL[3:5] = True
 
 
 @pytest.mark.usefixtures("unchecked")
@@ -140,11 +142,11 @@ NONE = torch.zeros(20, 24, dtype=torch.bool)
         ("seed=-1", {"seed": -1}),
         ("search='best' is unknown", {"search": "best"}),
         ("exemplar: none", {"exemplars": []}),
-        ("exemplar: 3 channels of", {"exemplars": [Z, Z[:1]]}),
+        ("one has 3 channels and another 1", {"exemplars": [Z, Z[:1]]}),
         ("exemplar holds NaN", {"exemplars": Z / 0}),
         ("mask: 1 given for 2", {"exemplars": [Z, Z], "masks": NONE}),
         ("mask is 20x23", {"masks": NONE[:, 1:]}),
-        ("patch=6 fits nowhere in the masks", {"masks": NONE}),
+        ("patch=6 fits nowhere in the masks", {"masks": SMALL}),
     ],
 )
 def test_what_makes_no_sense_is_refused(words: str, options: dict[str, Any]) -> None:

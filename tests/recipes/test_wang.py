@@ -203,9 +203,10 @@ def test_the_size_that_an_error_names_is_right(unchecked: None) -> None:
 
 def test_refuses_more(unchecked: None, tmp_path: Path) -> None:
     tiles = made()
-    for size in ((0, 4), (10**6, 10**6)):
-        with pytest.raises(ValueError, match=f"size={size[0]}x{size[1]} must be"):
-            tiles.tile(size)
+    with pytest.raises(ValueError, match="size=0x4 must be"):
+        tiles.tile((0, 4))
+    with pytest.raises(ValueError, match="size=10000000x10000000 would need"):
+        tiles.tile((10**7, 10**7))
     with pytest.raises(ValueError, match="seed=-3"):
         tiles.tile((4, 4), -3)
     with pytest.raises(ValueError, match="chosen must name"):

@@ -87,8 +87,6 @@ def _info() -> dict[str, Any]:
             extra: "installed" if all(find_spec(module) for module in modules) else "missing"
             for extra, modules in EXTRAS.items()
         },
-        "min-cut": {
-            name: "installed" if there else "missing" for name, there in solvers().items()
-        },
+        "min-cut": {name: "installed" if there else "missing" for name, there in solvers().items()},
         "exemplars": list(data.names()),
     }

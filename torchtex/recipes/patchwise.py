@@ -9,13 +9,25 @@ from dataclasses import dataclass
 from typing import Literal
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchtex.image import check_image
-from torchtex.model import LabelSpace, label_space
+from torchtex.model import LabelSpace
 from torchtex.patches import Qtp, QtpIndex, SsdSearch, pick, ssd_exhaustive, ssd_search
 from torchtex.quadratic import threads
+from torchtex.recipes.inputs import (
+    Exemplars,
+    Layout,
+    Masks,
+    check_not_negative,
+    check_seed,
+    check_size,
+    costs_of_places,
+    layout_of,
+    memory_of,
+    places_of,
+    usable_exemplars,
+)
 from torchtex.recipes.montage import Montage, Stage
 from torchtex.sources import SourceField
 
@@ -24,14 +36,14 @@ _SHARE = 0.28  # of the exemplar's side is a patch's, unless given
 
 
 def patchwise(
-    exemplars: Float[Tensor, "c _ _"] | Sequence[Float[Tensor, "c _ _"]],
+    exemplars: Exemplars,
     size: tuple[int, int],
     *,
     patch: int | None = None,
     overlap: int | None = None,
     tolerance: float = 0.1,
     search: Search = "fft",
-    masks: Bool[Tensor, "_ _"] | Sequence[Bool[Tensor, "_ _"] | None] | None = None,
+    masks: Masks = None,
     seed: int = 0,
     on_step: Callable[[Stage], None] | None = None,
 ) -> Montage:
@@ -61,17 +73,12 @@ def patchwise(
         torch.Size([3, 40, 50])
     """
     started = time.perf_counter()
-    zs, keep = _checked(exemplars, masks)
-    layout = _layout(zs, size, patch, overlap)
-    if not 0 <= tolerance < float("inf"):
-        raise ValueError(f"tolerance={tolerance} must be at least 0, and finite")
-    if not 0 <= seed < 2**63:
-        raise ValueError(f"seed={seed} must lie in 0..2^63 - 1")
-    space = label_space([(z.shape[1], z.shape[2]) for z in zs], layout.patch, keep)
-    if not len(space.positions):
-        raise ValueError(
-            f"patch={layout.patch} fits nowhere in the masks; choose a smaller patch or wider masks"
-        )
+    zs, keep = usable_exemplars(exemplars, masks)
+    check_size(size, memory_of(zs[0], size, images=6, numbers=40))
+    layout = layout_of(zs, size, patch, overlap, share=_SHARE, name="patch")
+    check_not_negative("tolerance", tolerance)
+    check_seed(seed)
+    space = places_of(zs, keep, layout.side, "patch")
     generator = torch.Generator().manual_seed(seed)
     with threads(1):  # the pieces are small
         finder = _finder(search, zs, space)
@@ -80,47 +87,12 @@ def patchwise(
     settings = {
         "recipe": "patchwise",
         "size": list(layout.size),
-        "patch": layout.patch,
+        "patch": layout.side,
         "overlap": layout.overlap,
         "tolerance": tolerance,
         "search": search if isinstance(search, str) else repr(search),
     }
     return Montage(texture, field, patches, time.perf_counter() - started, seed, settings)
-
-
-@dataclass(frozen=True)
-class _Layout:
-    """Square patches that overlap, from the top left corner on until they cover the size."""
-
-    size: tuple[int, int]
-    patch: int
-    overlap: int
-
-    @property
-    def step(self) -> int:
-        return self.patch - self.overlap
-
-    @property
-    def count(self) -> tuple[int, int]:
-        """Rows and columns of patches."""
-        rows, cols = (1 + max(0, -((self.patch - n) // self.step)) for n in self.size)
-        return rows, cols
-
-    @property
-    def extent(self) -> tuple[int, int]:
-        """Pixels under the patches; those beyond the size are cut off in the end."""
-        rows, cols = self.count
-        return self.patch + (rows - 1) * self.step, self.patch + (cols - 1) * self.step
-
-    def ramp(self, place: int, count: int, like: Tensor) -> Float[Tensor, "n"]:
-        """Weights along one axis of the patch at that place of so many."""
-        weights = like.new_ones(self.patch)
-        rise = torch.arange(1, self.overlap + 1, device=like.device).to(like) / (self.overlap + 1)
-        if place > 0:
-            weights[: self.overlap] = rise
-        if place < count - 1:
-            weights[-self.overlap :] = 1 - rise
-        return weights
 
 
 Finder = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
@@ -130,14 +102,14 @@ Finder = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 def _laid(
     zs: list[Tensor],
     space: LabelSpace,
-    layout: _Layout,
+    layout: Layout,
     finder: Finder,
     tolerance: float,
     generator: torch.Generator,
     on_step: Callable[[Stage], None] | None,
 ) -> tuple[SourceField, Int[Tensor, "h w"]]:
     """All patches, row by row. Those of one layer lie two apart, so they never meet."""
-    first, side, step = zs[0], layout.patch, layout.step
+    first, side, step = zs[0], layout.side, layout.step
     (rows, cols), (height, width) = layout.count, layout.size
     places = space.positions.to(first.device)
     sums = first.new_zeros(len(first), *layout.extent)
@@ -146,10 +118,8 @@ def _laid(
     origins = places.new_zeros(rows * cols, 3)
     for n in range(rows * cols):
         i, j = divmod(n, cols)
-        window = slice(i * step, i * step + side), slice(j * step, j * step + side)
+        window, zone = layout.window(i, j), layout.known(i, j, first.device)
         here = sums[:, window[0], window[1]]
-        zone = torch.zeros(side, side, dtype=torch.bool, device=first.device)
-        zone[: layout.overlap * (i > 0)] = zone[:, : layout.overlap * (j > 0)] = True
         if n:
             template = here / weights[:, window[0], window[1]].sum(0).clamp(min=1e-9)
             costs, labels = finder(template, zone)
@@ -158,7 +128,7 @@ def _laid(
             label = torch.randint(len(places), (1,), generator=generator)[0]
         origins[n] = places[label] - places.new_tensor([0, i * step, j * step])
         number, row, col = places[label].tolist()
-        share = layout.ramp(i, rows, first)[:, None] * layout.ramp(j, cols, first)
+        share = _ramp(layout, i, rows, first)[:, None] * _ramp(layout, j, cols, first)
         here += share * zs[number][:, row : row + side, col : col + side]
         layer = 2 * (i % 2) + j % 2
         weights[layer][window] = share
@@ -182,6 +152,17 @@ def _laid(
     positions[..., 1:] += at
     shapes = tuple((z.shape[1], z.shape[2]) for z in zs)
     return SourceField(positions, weights, shapes), patches
+
+
+def _ramp(layout: Layout, place: int, count: int, like: Tensor) -> Float[Tensor, "n"]:
+    """Weights along one axis of the patch at that place of so many."""
+    weights = like.new_ones(layout.side)
+    rise = torch.arange(1, layout.overlap + 1, device=like.device).to(like) / (layout.overlap + 1)
+    if place > 0:
+        weights[: layout.overlap] = rise
+    if place < count - 1:
+        weights[-layout.overlap :] = 1 - rise
+    return weights
 
 
 def _near(
@@ -217,14 +198,13 @@ class _Everywhere:
     exemplars: Sequence[SsdSearch | Tensor]
 
     def __call__(self, template: Tensor, zone: Tensor) -> tuple[Tensor, Tensor]:
-        found = []
-        for z, table in zip(self.exemplars, self.space.tables, strict=True):
-            if isinstance(z, Tensor):
-                cost = ssd_exhaustive(z, template, zone)
-            else:
-                cost = z(template[None], zone)[0]
-            found.append(cost[table[: cost.shape[0], : cost.shape[1]].to(cost.device) >= 0])
-        costs = torch.cat(found)
+        found = [
+            ssd_exhaustive(z, template, zone)
+            if isinstance(z, Tensor)
+            else z(template[None], zone)[0]
+            for z in self.exemplars
+        ]
+        costs = costs_of_places(self.space, found)
         return costs, torch.arange(len(costs))
 
 
@@ -251,54 +231,3 @@ class _Quick:
             everywhere = _Everywhere(self.space, tuple(ssd_search(z) for z in self.exemplars))
             return everywhere(template, zone)
         return torch.cat(costs), torch.cat(labels)
-
-
-def _layout(
-    zs: list[Tensor], size: tuple[int, int], patch: int | None, overlap: int | None
-) -> _Layout:
-    shortest = min(min(z.shape[1:]) for z in zs)
-    height, width = size
-    if height < 1 or width < 1:
-        raise ValueError(f"size={height}x{width} must be at least 1x1; give height x width")
-    side = max(3, round(_SHARE * shortest)) if patch is None else patch
-    if not 3 <= side <= shortest:
-        raise ValueError(
-            f"patch={side} must lie in 3..{shortest}, the shortest side of the exemplars"
-        )
-    if overlap is None:
-        overlap = max(1, min(round(side / 6), height // 2, width // 2))
-    elif not 1 <= overlap <= min((side - 1) // 2, height // 2, width // 2):
-        raise ValueError(
-            f"overlap={overlap} must be at least 1, less than half of patch={side}, and at most "
-            f"half of size={height}x{width}"
-        )
-    return _Layout((height, width), side, overlap)
-
-
-def _checked(
-    exemplars: Tensor | Sequence[Tensor], masks: Tensor | Sequence[Tensor | None] | None
-) -> tuple[list[Tensor], list[Tensor | None]]:
-    """Exemplars, with 0 where they may not be used, and a mask or None for each."""
-    zs = [exemplars] if isinstance(exemplars, Tensor) else list(exemplars)
-    keep: list[Tensor | None] = [None] * len(zs)
-    if masks is not None:
-        keep = [masks] if isinstance(masks, Tensor) else list(masks)
-    if not zs:
-        raise ValueError("exemplar: none given; give at least one image")
-    if len(keep) != len(zs):
-        raise ValueError(f"mask: {len(keep)} given for {len(zs)} exemplars; give one each")
-    found = []
-    for z, mask in zip(zs, keep, strict=True):
-        if mask is not None and mask.shape != z.shape[1:]:
-            raise ValueError(
-                f"mask is {mask.shape[0]}x{mask.shape[1]} and its exemplar "
-                f"{z.shape[1]}x{z.shape[2]}; give a mask of the size of the exemplar"
-            )
-        found.append(z.detach() if mask is None else torch.where(mask, z.detach(), 0))
-        check_image(found[-1], "exemplar")
-        if len(z) != len(zs[0]) or z.dtype != zs[0].dtype:
-            raise ValueError(
-                f"exemplar: {len(zs[0])} channels of {zs[0].dtype} beside {len(z)} of {z.dtype}; "
-                "convert them to the same"
-            )
-    return found, keep

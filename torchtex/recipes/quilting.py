@@ -5,115 +5,41 @@ Source: Efros and Freeman 2001, Image quilting for texture synthesis and transfe
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import torch
-import torch.nn.functional as F
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from torchtex.cuts.mincut import MinCut
 from torchtex.cuts.seams import cut_patch, patch_views, quilt_mask
-from torchtex.image import check_image, luminance
-from torchtex.model import LabelSpace, label_space
+from torchtex.image import check_image
+from torchtex.model import LabelSpace
 from torchtex.patches import SsdSearch, pick, ssd_search
 from torchtex.quadratic import threads
+from torchtex.recipes.correspondence import Correspondence as Correspondence
+from torchtex.recipes.correspondence import blurred_luminance
+from torchtex.recipes.inputs import (
+    Exemplars,
+    Layout,
+    Masks,
+    check_not_negative,
+    check_seed,
+    check_size,
+    costs_of_places,
+    layout_of,
+    memory_of,
+    places_of,
+    usable_exemplars,
+)
 from torchtex.recipes.montage import Montage, Stage
-from torchtex.sources import check_maps, copied
+from torchtex.sources import copied
 
-Exemplars = Float[Tensor, "c _ _"] | Sequence[Float[Tensor, "c _ _"]]
-Masks = Bool[Tensor, "_ _"] | Sequence[Bool[Tensor, "_ _"] | None] | None
 Window = tuple[slice, slice]
 _SHARE = 0.28  # of the exemplar's side is a block's, unless given
 _NEAR = 2  # pixels around a continuation that count as one
-
-
-@dataclass(frozen=True)
-class Correspondence:
-    """What a block of the exemplar and the target's pixels under it should have in common.
-
-    Args:
-        exemplars: (k, hz, wz) maps, one for each exemplar.
-        target: (k, h, w) map of the target.
-
-    Example:
-        >>> Correspondence((torch.zeros(1, 8, 8),), torch.zeros(1, 6, 6)).target.shape
-        torch.Size([1, 6, 6])
-    """
-
-    exemplars: tuple[Tensor, ...]
-    target: Float[Tensor, "k h w"]
-
-    def __post_init__(self) -> None:
-        for image in (*self.exemplars, self.target):
-            check_image(image, "correspondence")
-            if len(image) != len(self.target):
-                raise ValueError(
-                    f"correspondence: {len(image)} channels for an exemplar and "
-                    f"{len(self.target)} for the target; give both the same"
-                )
-
-    def check(self, exemplars: Sequence[Tensor], size: tuple[int, int]) -> None:
-        """Refuses maps that are not aligned with the exemplars, or with a target of that size.
-
-        Raises:
-            ValueError: in one sentence, what is wrong.
-        """
-        check_maps(self.exemplars, [(z.shape[1], z.shape[2]) for z in exemplars])
-        if tuple(self.target.shape[1:]) != tuple(size):
-            raise ValueError(
-                f"correspondence of the target is {self.target.shape[1]}x{self.target.shape[2]} "
-                f"and the target {size[0]}x{size[1]}; give a map of the size of the target"
-            )
-
-
-def blurred_luminance(
-    exemplars: Sequence[Float[Tensor, "_ _ _"]],
-    target: Float[Tensor, "_ h w"],
-    *,
-    sigma: float = 1.5,
-    match: bool = True,
-    masks: Sequence[Bool[Tensor, "_ _"] | None] | None = None,
-) -> Correspondence:
-    """Lightness of both, blurred, as the correspondence of a transfer.
-
-    Args:
-        sigma: standard deviation of the Gaussian, in pixels.
-        match: give the target the exemplars' distribution of lightness, rank by rank, so that
-            the darkest of the one stands for the darkest of the other.
-        masks: True at the pixels of the exemplars whose lightness counts in that.
-
-    Raises:
-        ValueError: sigma is not above 0.
-
-    Example:
-        >>> found = blurred_luminance([torch.rand(3, 16, 16)], torch.rand(1, 20, 24))
-        >>> found.target.shape
-        torch.Size([1, 20, 24])
-    """
-    from kornia.filters import gaussian_blur2d
-
-    if not 0 < sigma < float("inf"):
-        raise ValueError(f"sigma={sigma} must be above 0, and finite")
-    width = 2 * round(3 * sigma) + 1
-
-    def blurred(image: Tensor) -> Tensor:
-        grey = luminance(image)[None, None]
-        return gaussian_blur2d(grey, (width, width), (sigma, sigma), border_type="replicate")[0]
-
-    theirs = tuple(blurred(z) for z in exemplars)
-    ours = blurred(target.to(exemplars[0]))
-    if match:
-        used = [None] * len(theirs) if masks is None else masks
-        seen = [z[0] if m is None else z[0, m] for z, m in zip(theirs, used, strict=True)]
-        values = torch.cat([z.flatten() for z in seen]).sort().values
-        order = ours.flatten().sort().values
-        # equal pixels get equal values: those of the middle of their ranks
-        rank = torch.searchsorted(order, ours) + torch.searchsorted(order, ours, right=True)
-        ours = values[(rank * len(values) // (2 * len(order))).clamp(max=len(values) - 1)]
-    return Correspondence(theirs, ours)
 
 
 def quilt(
@@ -158,8 +84,9 @@ def quilt(
         torch.Size([3, 40, 50])
     """
     started = time.perf_counter()
-    zs, keep = _checked(exemplars, masks)
-    layout = _layout(zs, size, block, overlap)
+    zs, keep = usable_exemplars(exemplars, masks)
+    check_size(size, memory_of(zs[0], size, images=8, numbers=12))
+    layout = layout_of(zs, size, block, overlap, share=_SHARE, name="block")
     maker = _maker(zs, keep, tolerance, cut, solver, seed, continuing)
     with threads(1):  # the pieces are small
         sheet = maker.lay(layout, _Errors(), _reporter(on_step, "blocks", 0, 1))
@@ -209,10 +136,10 @@ def transfer(
         torch.Size([3, 20, 30])
     """
     started = time.perf_counter()
-    zs, keep = _checked(exemplars, masks)
+    zs, keep = usable_exemplars(exemplars, masks)
     check_image(target, "target")
     size = (target.shape[1], target.shape[2])
-    first = _layout(zs, size, block, overlap, _SHARE / 2)
+    first = layout_of(zs, size, block, overlap, share=_SHARE / 2, name="block")
     if iterations < 1:
         raise ValueError(f"iterations={iterations} must be at least 1")
     maker = _maker(zs, keep, tolerance, cut, solver, seed, True)
@@ -234,40 +161,6 @@ def transfer(
     assert sheet is not None
     settings = {"recipe": "transfer", "iterations": iterations}
     return _montage(sheet, maker, first, started, seed, settings)
-
-
-@dataclass(frozen=True)
-class _Layout:
-    """Square blocks that overlap, from the top left corner on until they cover the size."""
-
-    size: tuple[int, int]
-    block: int
-    overlap: int
-
-    @property
-    def step(self) -> int:
-        return self.block - self.overlap
-
-    @property
-    def count(self) -> tuple[int, int]:
-        """Rows and columns of blocks."""
-        rows, cols = (1 + max(0, -((self.block - n) // self.step)) for n in self.size)
-        return rows, cols
-
-    @property
-    def extent(self) -> tuple[int, int]:
-        """Pixels under the blocks; those beyond the size are cut off in the end."""
-        rows, cols = self.count
-        return self.block + (rows - 1) * self.step, self.block + (cols - 1) * self.step
-
-    def shrunk(self, ratio: float) -> "_Layout":
-        block = max(3, round(self.block * ratio))
-        return _Layout(self.size, block, min(max(1, round(self.overlap * ratio)), (block - 1) // 2))
-
-    def padded(self, image: Tensor) -> Tensor:
-        """The image over the whole extent; its border goes on."""
-        below, right = self.extent[0] - image.shape[1], self.extent[1] - image.shape[2]
-        return F.pad(image[None], (0, right, 0, below), mode="replicate")[0]
 
 
 @dataclass(frozen=True)
@@ -297,23 +190,14 @@ class _Errors:
             known = torch.ones_like(known)
         costs = canvas.new_zeros(len(space.positions))
         if bool(known.any()):
-            costs = _costs(maker.searches, space, template, known) * (self.alpha / len(template))
+            found = [search(template[None], known)[0] for search in maker.searches]
+            costs = costs_of_places(space, found) * (self.alpha / len(template))
         if self.target is None:
             return costs
         template = self.target[:, window[0], window[1]]
         share = (1 - self.alpha) / len(template)
-        return costs + share * _costs(self.wanted, space, template, None)
-
-
-def _costs(
-    searches: Sequence[SsdSearch], space: LabelSpace, template: Tensor, known: Tensor | None
-) -> Tensor:
-    """Costs of all places, one exemplar after another."""
-    found = []
-    for search, table in zip(searches, space.tables, strict=True):
-        cost = search(template[None], known)[0]
-        found.append(cost[table[: cost.shape[0], : cost.shape[1]].to(cost.device) >= 0])
-    return torch.cat(found)
+        found = [search(template[None])[0] for search in self.wanted]
+        return costs + share * costs_of_places(space, found)
 
 
 @dataclass(frozen=True)
@@ -361,11 +245,11 @@ class _Maker:
     generator: torch.Generator
 
     def lay(
-        self, layout: _Layout, errors: _Errors, report: Callable[[float, Tensor], None]
+        self, layout: Layout, errors: _Errors, report: Callable[[float, Tensor], None]
     ) -> _Sheet:
         """All blocks, row by row."""
-        first, side = self.images[0], layout.block
-        space = _places(self.images, self.masks, side)
+        first, side = self.images[0], layout.side
+        space = places_of(self.images, self.masks, side, "block")
         places = space.positions.to(first.device)
         (rows, cols), step = layout.count, layout.step
         origins = places.new_zeros(rows * cols, 3)
@@ -375,9 +259,7 @@ class _Maker:
         for n in range(rows * cols):
             i, j = divmod(n, cols)
             top, left = layout.overlap * (i > 0), layout.overlap * (j > 0)
-            window = slice(i * step, i * step + side), slice(j * step, j * step + side)
-            known = torch.zeros(side, side, dtype=torch.bool, device=first.device)
-            known[:top] = known[:, :left] = True
+            window, known = layout.window(i, j), layout.known(i, j, first.device)
             costs = errors(self, space, canvas[0], window, known)
             if not self.continuing:
                 after = [origins[n - 1] + origins.new_tensor([0, 0, step])] if j else []
@@ -407,7 +289,7 @@ def _without(costs: Tensor, places: Tensor, after: list[Tensor]) -> Tensor:
 
 
 def _montage(
-    sheet: _Sheet, maker: _Maker, layout: _Layout, started: float, seed: int, about: dict[str, Any]
+    sheet: _Sheet, maker: _Maker, layout: Layout, started: float, seed: int, about: dict[str, Any]
 ) -> Montage:
     height, width = layout.size
     patches = sheet.patches[:height, :width].contiguous()
@@ -416,7 +298,7 @@ def _montage(
     sources = sheet.origins[patches] + torch.stack([torch.zeros_like(rows), rows, cols], -1)
     settings = about | {
         "size": list(layout.size),
-        "block": layout.block,
+        "block": layout.side,
         "overlap": layout.overlap,
         "tolerance": maker.tolerance,
         "cut": "dp" if isinstance(maker.seam, _Dp) else "mincut",
@@ -440,78 +322,14 @@ def _maker(
     seed: int,
     continuing: bool,
 ) -> _Maker:
-    if not 0 <= tolerance < float("inf"):
-        raise ValueError(f"tolerance={tolerance} must be at least 0, and finite")
+    check_not_negative("tolerance", tolerance)
     if cut not in ("dp", "mincut"):
         raise ValueError(f"cut={cut!r} is unknown; choose dp or mincut")
-    if not 0 <= seed < 2**63:
-        raise ValueError(f"seed={seed} must lie in 0..2^63 - 1")
+    check_seed(seed)
     seam = _Dp() if cut == "dp" else _Cut(solver)
     searches = tuple(ssd_search(z) for z in zs)
     generator = torch.Generator().manual_seed(seed)
     return _Maker(zs, keep, searches, tolerance, seam, continuing, generator)
-
-
-def _layout(
-    zs: list[Tensor],
-    size: tuple[int, int],
-    block: int | None,
-    overlap: int | None,
-    share: float = _SHARE,
-) -> _Layout:
-    shortest = min(min(z.shape[1:]) for z in zs)
-    height, width = size
-    if height < 1 or width < 1:
-        raise ValueError(f"size={height}x{width} must be at least 1x1; give height x width")
-    side = max(3, round(share * shortest)) if block is None else block
-    if not 3 <= side <= shortest:
-        raise ValueError(
-            f"block={side} must lie in 3..{shortest}, the shortest side of the exemplars"
-        )
-    if overlap is None:
-        overlap = max(1, min(round(side / 6), height // 2, width // 2))
-    elif not 1 <= overlap <= min((side - 1) // 2, height // 2, width // 2):
-        raise ValueError(
-            f"overlap={overlap} must be at least 1, less than half of block={side}, and at most "
-            f"half of size={height}x{width}"
-        )
-    return _Layout((height, width), side, overlap)
-
-
-def _places(zs: list[Tensor], masks: list[Tensor | None], side: int) -> LabelSpace:
-    space = label_space([(z.shape[1], z.shape[2]) for z in zs], side, masks)
-    if not len(space.positions):
-        raise ValueError(
-            f"block={side} fits nowhere in the masks; choose a smaller block or wider masks"
-        )
-    return space
-
-
-def _checked(exemplars: Exemplars, masks: Masks) -> tuple[list[Tensor], list[Tensor | None]]:
-    """Exemplars, with 0 where they may not be used, and a mask or None for each."""
-    zs = [exemplars] if isinstance(exemplars, Tensor) else list(exemplars)
-    keep: list[Tensor | None] = [None] * len(zs)
-    if masks is not None:
-        keep = [masks] if isinstance(masks, Tensor) else list(masks)
-    if not zs:
-        raise ValueError("exemplar: none given; give at least one image")
-    if len(keep) != len(zs):
-        raise ValueError(f"mask: {len(keep)} given for {len(zs)} exemplars; give one each")
-    found = []
-    for z, mask in zip(zs, keep, strict=True):
-        if mask is not None and mask.shape != z.shape[1:]:
-            raise ValueError(
-                f"mask is {mask.shape[0]}x{mask.shape[1]} and its exemplar "
-                f"{z.shape[1]}x{z.shape[2]}; give a mask of the size of the exemplar"
-            )
-        found.append(z.detach() if mask is None else torch.where(mask, z.detach(), 0))
-        check_image(found[-1], "exemplar")
-        if len(z) != len(zs[0]) or z.dtype != zs[0].dtype:
-            raise ValueError(
-                f"exemplar: {len(zs[0])} channels of {zs[0].dtype} beside {len(z)} of {z.dtype}; "
-                "convert them to the same"
-            )
-    return found, keep
 
 
 def _reporter(

@@ -28,6 +28,7 @@ from torchtex.cuts.mincut import MinCut
 from torchtex.cuts.seams import cut_patch, dp_seam, patch_views
 from torchtex.image import check_image
 from torchtex.patches import box_sums, summed_area
+from torchtex.recipes.inputs import check_seed, check_size, memory_of
 from torchtex.recipes.montage import Montage, Stage
 from torchtex.sources import SourceField, copied
 
@@ -198,12 +199,9 @@ class WangSet:
             torch.Size([3, 40, 70])
         """
         begin = time.perf_counter()
-        _check_seed(seed)
+        check_seed(seed)
         height, width = size
-        if min(size) < 1 or height * width > 2**26:
-            raise ValueError(
-                f"size={height}x{width} must be at least 1x1 and at most {2**26} pixels in all"
-            )
+        check_size(size, memory_of(self.tiles[0], size, images=4, numbers=24))
         whole = self.lay(self._scan(-(-height // self.side), -(-width // self.side), seed))
         field = whole.field
         return Montage(
@@ -257,7 +255,7 @@ class WangSet:
         images.save(path, self.atlas(), bits=bits, name="atlas")
         self.save_edges(path, bits=bits)
 
-    def save_edges(self, path: str | Path, *, bits: Literal[8, 16] = 8) -> None:
+    def save_edges(self, path: str | Path, *, bits: int = 8) -> None:
         """Writes the JSON alone, beside an atlas that is there already."""
         held = (self.atlas() * (2**bits - 1)).round() / (2**bits - 1)
         about = {
@@ -439,7 +437,7 @@ def _check(exemplar: Tensor, colors: int, tile: int, cut: str, seed: int) -> int
         raise ValueError(f"cut={cut!r} is unknown; choose mincut or dp")
     if tile < 8 or tile % 2:
         raise ValueError(f"tile={tile} must be even and at least 8")
-    _check_seed(seed)
+    check_seed(seed)
     reach = tile // 2 + max(1, tile // 8)
     shortest = min(exemplar.shape[1:])
     if 2 * reach > shortest:
@@ -452,11 +450,6 @@ def _check(exemplar: Tensor, colors: int, tile: int, cut: str, seed: int) -> int
             f"{exemplar.shape[1]}x{exemplar.shape[2]}; {remedy}"
         )
     return reach
-
-
-def _check_seed(seed: int) -> None:
-    if not 0 <= seed < 2**63:
-        raise ValueError(f"seed={seed} must lie in 0..2^63 - 1")
 
 
 def _allowed(exemplar: Tensor, mask: Tensor | None, extent: tuple[int, int]) -> Tensor:
