@@ -149,24 +149,26 @@ def check_fields(fields: Tensor, name: str = "fields") -> None:
         >>> check_fields(torch.zeros(3, 2, 4, 5))
         >>> check_fields(torch.zeros(4, 5, 2))
         Traceback (most recent call last):
-        ValueError: fields have shape (4, 5, 2); give (2, rows, columns) or one per frame
+        ValueError: fields: shape (4, 5, 2) must be (2, rows, columns) or (frames, 2, rows, columns)
     """
     shape = tuple(fields.shape)
     if fields.ndim not in (3, 4) or shape[-3] != 2:
-        raise ValueError(f"{name} have shape {shape}; give (2, rows, columns) or one per frame")
+        raise ValueError(
+            f"{name}: shape {shape} must be (2, rows, columns) or (frames, 2, rows, columns)"
+        )
     if not fields.numel():
-        raise ValueError(f"{name} have shape {shape} and so no frames or no pixels; give some")
+        raise ValueError(f"{name}: shape {shape} has no frames or no pixels; give at least one")
     if not fields.is_floating_point():
-        raise ValueError(f"{name} are {fields.dtype}; convert them to floating point")
+        raise ValueError(f"{name}: {fields.dtype} must be floating point; convert it")
     if not bool(fields.isfinite().all()):
         count = int((~fields.isfinite()).any(-3).sum())
-        raise ValueError(f"{name} hold NaN or infinity at {count} pixels; replace them")
+        raise ValueError(f"{name}: NaN or infinity at {count} pixels; replace them")
     for axis, word in ((0, "height"), (1, "width")):
         largest, extent = float(fields.select(-3, axis).abs().max()), shape[axis - 2]
         if largest > extent:
             raise ValueError(
-                f"{name} move a pixel by {largest:.6g}, more than the {word} of {extent}; give "
-                "pixels per frame, (row, column)"
+                f"{name}: a pixel moves by {largest:.6g}, more than the {word} of {extent}; give "
+                "(row, column) in pixels per frame"
             )
 
 

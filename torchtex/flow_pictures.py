@@ -33,8 +33,8 @@ def flow_picture(
         color: hue shows the direction, saturation the speed.
         periodic: streaks go on at the other side.
         zoom: pixels of the picture per pixel of the field, at least 1.
-        spacing: of the arrows, in pixels of the picture; None: a 16th of the longer side, at
-            least 14.
+        spacing: of the arrows, in pixels of the picture; None: a 13th of the longer side, at
+            least 16.
         generator: of the noise under the streaks; None: the same noise each time.
 
     Raises:
@@ -77,7 +77,7 @@ def lic(
 ) -> Float[Tensor, "h w"]:
     """Line integral convolution: noise averaged along the curves of the flow, in [0, 1].
 
-    Every pixel walks half a pixel at a time both ways along the direction of the flow (midpoint
+    Every pixel walks a pixel at a time both ways along the direction of the flow (midpoint
     rule) and averages what it meets under a Hann window. A second pass over the result makes
     the streaks longer and clearer. Mean 0.5, standard deviation about 0.2.
 
@@ -103,7 +103,7 @@ def lic(
     speed = flow.square().sum(0).sqrt()
     # directions shrink where the flow stands still, so that no walk jumps across the middle
     unit = flow / (speed + 1e-3 * speed.amax() + 1e-12)
-    steps = max(1, round(length))
+    steps = max(1, round(length / 2))
     once = _convolved(noise, unit, steps, periodic)
     twice = _convolved(_contrast(once), unit, steps, periodic)
     return _contrast(twice)[0].clamp(0, 1).to(field.dtype)
@@ -137,21 +137,21 @@ def draw_arrows(
 
     Args:
         field: of the same size. Lengths are relative to the fastest; dots mark what rests.
-        spacing: pixels between arrows; None: a 16th of the longer side, at least 14.
+        spacing: pixels between arrows; None: a 13th of the longer side, at least 16.
 
     Example:
         >>> draw_arrows(torch.zeros(3, 20, 20), torch.ones(2, 20, 20)).amax().item()
         1.0
     """
     _, h, w = field.shape
-    step = max(14, max(h, w) // 16) if spacing is None else spacing
+    step = max(16, max(h, w) // 13) if spacing is None else spacing
     rows, columns = max(1, round(h / step)), max(1, round(w / step))
     middle = from_center((0.0, 0.0), rows, columns)
     scale = torch.tensor([h / rows, w / columns], dtype=torch.float64)[:, None, None]
     middle = (middle * scale - 0.5).to(field.device)
     motion = sample(field.double(), middle, cubic=False)
     fastest = float(motion.square().sum(0).amax().sqrt())
-    motion = motion / max(fastest, 1e-12) * (0.95 * min(h / rows, w / columns))
+    motion = motion / max(fastest, 1e-12) * (0.85 * min(h / rows, w / columns))
     distance = _arrow_distance(middle, motion, h, w)
     width = max(0.6, step / 28)
     edge = width + max(1.0, step / 22)
@@ -163,7 +163,7 @@ def draw_arrows(
 def _arrow_distance(
     middle: Float[Tensor, "2 y x"], motion: Float[Tensor, "2 y x"], h: int, w: int
 ) -> Float[Tensor, "h w"]:
-    """Distance of each pixel to the nearest arrow: those of its own and of the eight cells around."""
+    """Distance of each pixel to the nearest arrow, of those in its own cell and around it."""
     here = from_center((0.0, 0.0), h, w).to(middle.device) - 0.5
     rows, columns = middle.shape[1:]
     cell = ((here[0] + 0.5) * rows / h).long(), ((here[1] + 0.5) * columns / w).long()
@@ -178,9 +178,10 @@ def _arrow_distance(
 
 
 def _distance_to_arrow(off: Float[Tensor, "2 h w"], way: Float[Tensor, "2 h w"]) -> Tensor:
-    """Distance to an arrow of that length and direction about 0: a shaft and a head of two strokes."""
+    """Distance to an arrow about 0, as long as `way`: a shaft, and a head of two strokes."""
     length = way.square().sum(0).sqrt()
-    unit = way / length.clamp(min=1e-9)
+    right = way.new_tensor([0.0, 1.0])[:, None, None]  # dots have no direction
+    unit = torch.where(length > 1e-6, way / length.clamp(min=1e-6), right)
     along = unit[0] * off[0] + unit[1] * off[1]
     across = (unit[0] * off[1] - unit[1] * off[0]).abs()  # both strokes are mirror images
     beyond = (along.abs() - length / 2).clamp(min=0)
@@ -197,7 +198,7 @@ def _convolved(
     _, h, w = unit.shape
     start = from_center((0.0, 0.0), h, w).to(unit.device) - 0.5
     total, weights = image.clone(), torch.ones_like(image[0])
-    for sign in (0.5, -0.5):
+    for sign in (1.0, -1.0):
         place, inside = start, torch.ones_like(weights)
         for step in range(1, steps + 1):
             half = place + sign / 2 * sample(unit, place, periodic=periodic, cubic=False)

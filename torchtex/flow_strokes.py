@@ -47,7 +47,7 @@ class Strokes:
     strokes: Sequence[Sequence[tuple[float, float]]]
     speed: float = 2.0
     width: float | None = None
-    smoothing: float = 1e-3
+    smoothing: float = 0.1
     periodic: bool = False
 
     def __post_init__(self) -> None:
@@ -102,7 +102,9 @@ class Strokes:
     ) -> tuple[Tensor, Tensor]:
         """Weights of the points and of 1 and the coordinates; the smallest if many will do."""
         n, low = len(points), _affine(points)
-        matrix = self._kernel(points, points) + self.smoothing * torch.eye(n, dtype=torch.float64)
+        # thin plates are that much lower than Gaussians between neighbouring points
+        ridge = self.smoothing * (0.01 if self.width is None else 1.0)
+        matrix = self._kernel(points, points) + ridge * torch.eye(n, dtype=torch.float64)
         if self.width is not None:
             return torch.linalg.lstsq(matrix, tangents, driver="gelsd").solution, low.new_zeros(
                 low.shape[1], 2

@@ -85,7 +85,8 @@ class Vortices:
 def vortex_pair(
     strength: float = 3.0, radius: float = 0.12, distance: float = 0.4, periodic: bool = False
 ) -> Vortices:
-    """Two vortices side by side that turn against each other: the jet between them goes up.
+    """Two vortices side by side that turn against each other: the jet between them goes up
+    (down if `strength` is negative), and is faster than either.
 
     Args:
         strength, radius, periodic: as in `Vortices`.
@@ -93,11 +94,11 @@ def vortex_pair(
 
     Example:
         >>> vortex_pair().strengths
-        (-3.0, 3.0)
+        (3.0, -3.0)
     """
     check_numbers({"distance": distance})
     centers = ((0.5, 0.5 - distance / 2), (0.5, 0.5 + distance / 2))
-    return Vortices((-strength, strength), centers, radius, periodic)
+    return Vortices((strength, -strength), centers, radius, periodic)
 
 
 @dataclass(frozen=True)
