@@ -67,7 +67,7 @@ def load(path: str | os.PathLike[str], *, alpha: bool = True, name: str = "path"
         torch.Size([3, 128, 128])
     """
     where = _where(name, path)
-    values, opaque = _decode(_read(path, where), where)
+    values, opaque = _decode(read_bytes(path, name=name), where)
     if not np.isfinite(values).all():
         count = int((~np.isfinite(values)).any(-1).sum())
         raise ValueError(f"{where} holds NaN or infinity at {count} pixels; replace them")
@@ -179,7 +179,7 @@ def read_metadata(path: str | os.PathLike[str], *, name: str = "path") -> dict[s
         {'seed': '7'}
     """
     where = _where(name, path)
-    data = _read(path, where)
+    data = read_bytes(path, name=name)
     with _decoding(where):
         image = _open(data)
         if image.format == "PNG":
@@ -190,6 +190,28 @@ def read_metadata(path: str | os.PathLike[str], *, name: str = "path") -> dict[s
     except ValueError:
         return {}
     return {key: str(value) for key, value in found.items()} if isinstance(found, dict) else {}
+
+
+def read_bytes(path: str | os.PathLike[str], *, name: str = "path") -> bytes:
+    """All of a file.
+
+    Raises:
+        ValueError: it is missing, a folder, or cannot be read.
+
+    Example:
+        >>> read_bytes("missing.png", name="exemplar")
+        Traceback (most recent call last):
+        ValueError: exemplar='missing.png': there is no such file; check the name
+    """
+    where = _where(name, path)
+    if Path(path).is_dir():
+        raise ValueError(f"{where} is a folder; name a picture in it")
+    try:
+        return Path(path).read_bytes()
+    except FileNotFoundError:
+        raise ValueError(f"{where}: there is no such file; check the name") from None
+    except OSError as error:
+        raise ValueError(f"{where} cannot be read: {_reason(error)}") from error
 
 
 @contextmanager
@@ -356,17 +378,6 @@ def _where(name: str, path: str | os.PathLike[str]) -> str:
 
 def _reason(error: BaseException) -> str:
     return getattr(error, "strerror", None) or str(error) or type(error).__name__
-
-
-def _read(path: str | os.PathLike[str], where: str) -> bytes:
-    if Path(path).is_dir():
-        raise ValueError(f"{where} is a folder; name a picture in it")
-    try:
-        return Path(path).read_bytes()
-    except FileNotFoundError:
-        raise ValueError(f"{where}: there is no such file") from None
-    except OSError as error:
-        raise ValueError(f"{where} cannot be read: {_reason(error)}") from error
 
 
 @contextmanager

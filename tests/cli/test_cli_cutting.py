@@ -123,7 +123,7 @@ BAD: list[tuple[str, tuple[str, ...]]] = [
     ("mask='small.png' has 20 x 30", ("z.png", *SIZE, "--mask", "small.png")),
     ("mask='left.png' is white only", ("alpha.png", *SIZE, "--mask", "left.png")),
     ("exemplar='text.png' is none of", ("text.png", *SIZE)),
-    ("none.png", ("none.png", *SIZE)),
+    ("exemplar='none.png': there is no such file", ("none.png", *SIZE)),
     ("output='z.png' would overwrite an input", ("z.png", *SIZE, "-o", "z.png")),
     ("seams='z.png' would overwrite", ("z.png", *SIZE, "--seams", "z.png")),
     ("patch_map='x.png' is another output", ("z.png", *SIZE, "--patch-map", "x.png")),

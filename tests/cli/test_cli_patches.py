@@ -111,7 +111,7 @@ BAD: list[tuple[str, tuple[str, ...]]] = [
     for words, line in (
         ("size='0x44'", ("z.png", *OUT, "--size", "0x44")),
         ("size='wide'", ("z.png", *OUT, "--size", "wide")),
-        ("size: there is not enough memory", ("z.png", *OUT, "--size", "9999999x9999999")),
+        ("size=9999999x9999999 would need about", ("z.png", *OUT, "--size", "9999999x9999999")),
         ("size", ("z.png", *OUT)),
         (f"{side}=27 must lie in 3..26", ("z.png", *SIZE, f"--{side}", "27")),
         (f"{side}=0 must lie in 3..26", ("z.png", *SIZE, f"--{side}", "0")),
@@ -129,7 +129,7 @@ BAD: list[tuple[str, tuple[str, ...]]] = [
         ("mask='small.png' has 20 x 30", ("z.png", *SIZE, "--mask", "small.png")),
         ("mask='left.png' is white only", ("alpha.png", *SIZE, "--mask", "left.png")),
         ("fits nowhere in the masks", ("alpha.png", *SIZE, f"--{side}", "11")),
-        ("'none.png' cannot be read", ("none.png", *SIZE)),
+        ("exemplar='none.png': there is no such file", ("none.png", *SIZE)),
         ("exemplar='text.png'", ("text.png", *SIZE)),
         ("output='z.png' would overwrite", ("z.png", "-o", "z.png", "--size", "9x9")),
         ("labels='l.txt' must end", ("z.png", *SIZE, "--labels", "l.txt")),
@@ -138,6 +138,7 @@ BAD: list[tuple[str, tuple[str, ...]]] = [
 ] + [
     ("cut='dq' is unknown; choose dp, mincut", ("quilt", "z.png", *SIZE, "--cut", "dq")),
     ("search='ftt' is unknown", ("patchwise", "z.png", *SIZE, "--search", "ftt")),
+    ("solver='ortools' belongs to cut=mincut", ("quilt", "z.png", *SIZE, "--solver", "ortools")),
     ("iterations=3 needs --target", ("quilt", "z.png", *SIZE, "--iterations", "3")),
     ("size: none given", ("quilt", "z.png", *OUT)),
     ("leave --size out", ("quilt", "z.png", *SIZE, "--target", "target.png")),
@@ -146,7 +147,7 @@ BAD: list[tuple[str, tuple[str, ...]]] = [
         "iterations=0 must be at least 1",
         ("quilt", "z.png", *OUT, "--target", "target.png", "--iterations", "0"),
     ),
-    ("'none.png'", ("quilt", "z.png", *OUT, "--target", "none.png")),
+    ("target='none.png': there is no such file", ("quilt", "z.png", *OUT, "--target", "none.png")),
     ("target='text.png'", ("quilt", "z.png", *OUT, "--target", "text.png")),
     (
         "would overwrite an input",

@@ -1,20 +1,20 @@
 """`torchtex graphcut`: copies of the exemplar, joined along the best seams."""
 
 import re
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from torchtex.cli.base import Watch, app
-from torchtex.cli.files import choose, exemplar_path, extent_of, parse_size, same_channels
+from torchtex.cli.files import choose, load_exemplars, parse_size, read_files, solver_of
 from torchtex.cli.options import (
     Bits,
+    Boundary,
     Exemplars,
     KeepPartial,
     Labels,
+    Masks,
     Output,
     PatchPicture,
     Quiet,
@@ -22,14 +22,12 @@ from torchtex.cli.options import (
     SeamPicture,
     Seed,
     Size,
+    Solver,
     Threads,
 )
-from torchtex.cli.recipe import Outputs, carry_out
+from torchtex.cli.recipe import Outputs, carry_out, patch_pictures
 
 if TYPE_CHECKING:
-    import torch
-
-    from torchtex.cuts.mincut import MinCut
     from torchtex.recipes.graphcut import Placement
     from torchtex.recipes.montage import Montage
 
@@ -74,15 +72,9 @@ def graphcut(
     poisson: Annotated[
         bool, typer.Option("--poisson", help="Even out brightness across seams.")
     ] = False,
-    boundary: Annotated[
-        str, typer.Option(help="free, or periodic for a texture that tiles.")
-    ] = "free",
-    solver: Annotated[
-        str | None, typer.Option(help="Of the min-cuts: pymaxflow or ortools.")
-    ] = None,
-    mask: Annotated[
-        list[str] | None, typer.Option(help="White where the exemplar may be used; one each.")
-    ] = None,
+    boundary: Boundary = "free",
+    solver: Solver = None,
+    mask: Masks = None,
     seed: Seed = 0,
     threads: Threads = None,
     bits: Bits = 8,
@@ -98,19 +90,14 @@ def graphcut(
     where = _placement(placement, patch, k, spread)
     factors = parse_scales(scales)
     choose("boundary", boundary, BOUNDARIES)
-    drawn = list(mask or ())
-    if drawn and len(drawn) != len(exemplar):
-        raise ValueError(
-            f"mask: {len(drawn)} given for {len(exemplar)} exemplars; "
-            "repeat --mask once per exemplar"
-        )
-    chosen = _solver(solver)
-    read = {name: exemplar_path(name) for name in exemplar} | {name: Path(name) for name in drawn}
+    chosen = solver_of(solver)
+    drawn = mask or []
+    read = read_files(exemplar, drawn)
 
     def make(watch: Watch) -> "Montage":
         from torchtex.recipes import graphcut as recipe
 
-        images, masks = _load(exemplar, drawn)
+        images, masks = load_exemplars(exemplar, drawn)
         return recipe.graphcut(
             images,
             extent,
@@ -128,19 +115,8 @@ def graphcut(
             on_step=watch,
         )
 
-    pictures = [
-        ("seams", seams, lambda result: result.seam_picture()),
-        ("patch_map", patch_map, lambda result: result.patch_picture()),
-    ]
-    carry_out(
-        context,
-        Outputs(output, bits, labels, report, pictures),
-        read,
-        make,
-        threads=threads,
-        keep_partial=keep_partial,
-        quiet=quiet,
-    )
+    outputs = Outputs(output, bits, labels, report, patch_pictures(seams, patch_map))
+    carry_out(context, outputs, read, make, threads=threads, keep_partial=keep_partial, quiet=quiet)
 
 
 def parse_scales(text: str) -> tuple[float, ...]:
@@ -170,35 +146,3 @@ def _placement(name: str, patch: int | None, k: float | None, spread: float | No
     made = EntirePatch() if name == "entire" else SubPatch(patch)
     made = made if k is None else replace(made, k=k)
     return made if spread is None else replace(made, spread=spread)
-
-
-def _solver(name: str | None) -> "MinCut":
-    """The back end of that name, if it is there."""
-    from torchtex.cuts.mincut import OrTools, PyMaxflow, default_solver, solvers
-
-    if name is None:
-        return default_solver()
-    made: dict[str, Callable[[], MinCut]] = {"pymaxflow": PyMaxflow, "ortools": OrTools}
-    if name not in made:
-        there = ", ".join(known for known, usable in solvers().items() if usable) or "none"
-        raise ValueError(f"solver={name!r} is unknown; those installed here: {there}")
-    return made[name]()
-
-
-def _load(
-    names: list[str], drawn: list[str]
-) -> "tuple[list[torch.Tensor], list[torch.Tensor | None]]":
-    """Exemplars, and where each may be used: where it is opaque, and its mask is white."""
-    from torchtex import image as images
-
-    pictures = [images.load(exemplar_path(name), name="exemplar") for name in names]
-    masks = [picture.mask for picture in pictures]
-    for number, name in enumerate(drawn):
-        white = images.load_mask(name, extent_of(pictures[number].image), name="mask")
-        alpha = masks[number]
-        both = masks[number] = white if alpha is None else white & alpha
-        if not bool(both.any()):
-            raise ValueError(
-                f"mask={name!r} is white only where its exemplar is transparent; widen it"
-            )
-    return same_channels([picture.image for picture in pictures]), masks

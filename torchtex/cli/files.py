@@ -4,12 +4,14 @@ import difflib
 import hashlib
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
     import torch
+
+    from torchtex.cuts.mincut import MinCut
 
 
 def exemplar_path(name: str) -> Path:
@@ -27,15 +29,78 @@ def exemplar_path(name: str) -> Path:
     return path
 
 
-def check_output(output: Path, read: Sequence[Path]) -> None:
-    """Refuses an output that cannot be written, or that is one of the files to be read."""
+def read_files(exemplars: Sequence[str], drawn: Sequence[str]) -> dict[str, Path]:
+    """The files of exemplars and of masks, by the names they were given under."""
+    check_masks(exemplars, drawn)
+    return {name: exemplar_path(name) for name in exemplars} | {name: Path(name) for name in drawn}
+
+
+def check_masks(exemplars: Sequence[str], drawn: Sequence[str]) -> None:
+    """Refuses a number of masks other than none or one each."""
+    if drawn and len(drawn) != len(exemplars):
+        raise ValueError(
+            f"mask: {len(drawn)} given for {len(exemplars)} exemplars; "
+            "repeat --mask once per exemplar"
+        )
+
+
+def load_exemplars(
+    names: Sequence[str], drawn: Sequence[str]
+) -> "tuple[list[torch.Tensor], list[torch.Tensor | None]]":
+    """Exemplars, and where each may be used: where it is opaque, and its mask is white."""
     from torchtex import image as images
 
-    images.check_writable(output, suffixes=images.SUFFIXES, name="output")
+    pictures = [images.load(exemplar_path(name), name="exemplar") for name in names]
+    masks = [picture.mask for picture in pictures]
+    for number, name in enumerate(drawn):
+        white = images.load_mask(name, extent_of(pictures[number].image), name="mask")
+        alpha = masks[number]
+        both = masks[number] = white if alpha is None else white & alpha
+        if not bool(both.any()):
+            raise ValueError(
+                f"mask={name!r} is white only where its exemplar is transparent; widen it"
+            )
+    return same_channels([picture.image for picture in pictures]), masks
+
+
+def solver_of(name: str | None, cut: str = "mincut") -> "MinCut | None":
+    """The min-cut of that name; None for the first one that is installed."""
+    from torchtex.cuts.mincut import OrTools, PyMaxflow, solvers
+
+    if name is None:
+        return None
+    if cut != "mincut":
+        raise ValueError(f"solver={name!r} belongs to cut=mincut; leave one of them out")
+    made: dict[str, Callable[[], MinCut]] = {"pymaxflow": PyMaxflow, "ortools": OrTools}
+    if name not in made:
+        there = ", ".join(known for known, usable in solvers().items() if usable) or "none"
+        raise ValueError(f"solver={name!r} is unknown; those installed here: {there}")
+    return made[name]()
+
+
+def cut_of(name: str) -> 'Literal["dp", "mincut"]':
+    """The way of cutting of that name."""
+    choose("cut", name, ("dp", "mincut"))
+    return "dp" if name == "dp" else "mincut"
+
+
+def check_output(
+    output: Path, read: Iterable[Path], name: str = "output", suffixes: Sequence[str] | None = None
+) -> None:
+    """Refuses an output that cannot be written, or that is one of the files to be read.
+
+    Args:
+        suffixes: endings allowed; those of pictures unless given.
+    """
+    from torchtex import image as images
+
+    images.check_writable(
+        output, suffixes=images.SUFFIXES if suffixes is None else suffixes, name=name
+    )
     for path in read:
         if output.exists() and path.exists() and output.samefile(path):
             raise ValueError(
-                f"output={str(output)!r} would overwrite an input; choose another name"
+                f"{name}={str(output)!r} would overwrite an input; choose another name"
             )
 
 
@@ -61,12 +126,11 @@ def bits_of(path: Path) -> int:
     return 16 if deep else 8
 
 
-def sha256(path: Path) -> str:
-    """Digest of a file, in hexadecimal."""
-    try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError as error:
-        raise ValueError(f"{str(path)!r} cannot be read: {error.strerror or error}") from None
+def sha256(path: Path, name: str = "file") -> str:
+    """Digest of a file, in hexadecimal; an error calls the file by that name."""
+    from torchtex import image as images
+
+    return hashlib.sha256(images.read_bytes(path, name=name)).hexdigest()
 
 
 def same_channels(pictures: "list[torch.Tensor]") -> "list[torch.Tensor]":

@@ -22,6 +22,18 @@ Threads = Annotated[
     int | None, typer.Option(min=1, max=4096, help="CPU threads; changes no pixel.")
 ]
 Device = Annotated[str, typer.Option(help="cpu, cuda, cuda:1, mps or xpu.")]
+Masks = Annotated[
+    list[str] | None, typer.Option(help="White where the exemplar may be used; one each.")
+]
+Boundary = Annotated[str, typer.Option(help="free, or periodic for a texture that tiles.")]
+Cut = Annotated[
+    str, typer.Option(help="Seams: mincut, of any shape, or dp, one pixel in each line.")
+]
+Solver = Annotated[str | None, typer.Option(help="Of the min-cuts: pymaxflow or ortools.")]
+Base = Annotated[
+    str, typer.Argument(help="The picture to be changed, or the name of a bundled exemplar.")
+]
+Plain = Annotated[bool, typer.Option("--plain", help="Copy pixels; no Poisson.")]
 Bits = Annotated[int, typer.Option(help="Per channel of the output: 8 or 16.")]
 Labels = Annotated[Path | None, typer.Option(help=".npz to write for `torchtex apply`.")]
 Report = Annotated[

@@ -1,19 +1,26 @@
 """`torchtex quilt` and `torchtex patchwise`: square patches of the exemplar side by side."""
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from torchtex.cli.base import Watch, app
-from torchtex.cli.cutting import _load
-from torchtex.cli.files import choose, exemplar_path, parse_size
+from torchtex.cli.files import (
+    choose,
+    cut_of,
+    load_exemplars,
+    parse_size,
+    read_files,
+    solver_of,
+)
 from torchtex.cli.options import (
     Bits,
+    Cut,
     Exemplars,
     KeepPartial,
     Labels,
+    Masks,
     Output,
     PatchPicture,
     Quiet,
@@ -21,19 +28,16 @@ from torchtex.cli.options import (
     SeamPicture,
     Seed,
     Size,
+    Solver,
     Threads,
 )
-from torchtex.cli.recipe import Outputs, carry_out
+from torchtex.cli.recipe import Outputs, carry_out, patch_pictures
 
 if TYPE_CHECKING:
     from torchtex.recipes.montage import Montage
 
-CUTS = ("dp", "mincut")
 SEARCHES = ("exhaustive", "fft", "qtp")
 
-Masks = Annotated[
-    list[str] | None, typer.Option(help="White where the exemplar may be used; one each.")
-]
 Overlap = Annotated[
     int | None,
     typer.Option(help="Pixels that neighbors share; a sixth of their side unless given."),
@@ -59,7 +63,8 @@ def quilt(
     tolerance: Annotated[
         float, typer.Option(help="How much dearer than the best a drawn block may be; 0.1: 10%.")
     ] = 0.1,
-    cut: Annotated[str, typer.Option(help="Seams: dp, two paths, or mincut, of any shape.")] = "dp",
+    cut: Cut = "dp",
+    solver: Solver = None,
     continuing: Annotated[
         bool,
         typer.Option("--continuing", help="Also let blocks go on where a neighbor ends."),
@@ -83,8 +88,8 @@ def quilt(
 ) -> None:
     """Make a texture of blocks joined along best seams, or render a target in such blocks."""
     extent = _extent(size, target, iterations, continuing)
-    choose("cut", cut, CUTS)
-    read = _read(exemplar, mask)
+    way, chosen = cut_of(cut), solver_of(solver, cut)
+    read = read_files(exemplar, mask or [])
     if target is not None:
         read[target] = Path(target)
 
@@ -92,8 +97,7 @@ def quilt(
         from torchtex import image as images
         from torchtex.recipes import quilting
 
-        zs, masks = _load(exemplar, mask or [])
-        chosen: Literal["dp", "mincut"] = "dp" if cut == "dp" else "mincut"
+        zs, masks = load_exemplars(exemplar, mask or [])
         if target is None:
             return quilting.quilt(
                 zs,
@@ -101,7 +105,8 @@ def quilt(
                 block=block,
                 overlap=overlap,
                 tolerance=tolerance,
-                cut=chosen,
+                cut=way,
+                solver=chosen,
                 continuing=continuing,
                 masks=masks,
                 seed=seed,
@@ -114,13 +119,14 @@ def quilt(
             overlap=overlap,
             iterations=3 if iterations is None else iterations,
             tolerance=tolerance,
-            cut=chosen,
+            cut=way,
+            solver=chosen,
             masks=masks,
             seed=seed,
             on_step=watch,
         )
 
-    outputs = Outputs(output, bits, labels, report, _pictures(seams, patch_map))
+    outputs = Outputs(output, bits, labels, report, patch_pictures(seams, patch_map))
     carry_out(context, outputs, read, make, threads=threads, keep_partial=keep_partial, quiet=quiet)
 
 
@@ -155,12 +161,12 @@ def patchwise(
     """Make a texture of patches whose borders fit, blended where they overlap."""
     extent = parse_size(size)
     choose("search", search, SEARCHES)
-    read = _read(exemplar, mask)
+    read = read_files(exemplar, mask or [])
 
     def make(watch: Watch) -> "Montage":
         from torchtex.recipes import patchwise as recipe
 
-        zs, masks = _load(exemplar, mask or [])
+        zs, masks = load_exemplars(exemplar, mask or [])
         return recipe.patchwise(
             zs,
             extent,
@@ -173,7 +179,7 @@ def patchwise(
             on_step=watch,
         )
 
-    outputs = Outputs(output, bits, labels, report, _pictures(seams, patch_map))
+    outputs = Outputs(output, bits, labels, report, patch_pictures(seams, patch_map))
     carry_out(context, outputs, read, make, threads=threads, keep_partial=keep_partial, quiet=quiet)
 
 
@@ -192,22 +198,3 @@ def _extent(
     if continuing:
         raise ValueError("continuing does not go with --target; leave one of them out")
     return 1, 1
-
-
-def _read(exemplar: list[str], mask: list[str] | None) -> dict[str, Path]:
-    drawn = mask or []
-    if drawn and len(drawn) != len(exemplar):
-        raise ValueError(
-            f"mask: {len(drawn)} given for {len(exemplar)} exemplars; "
-            "repeat --mask once per exemplar"
-        )
-    return {name: exemplar_path(name) for name in exemplar} | {name: Path(name) for name in drawn}
-
-
-def _pictures(
-    seams: Path | None, patch_map: Path | None
-) -> list[tuple[str, Path | None, Callable[[Any], Any]]]:
-    return [
-        ("seams", seams, lambda result: result.seam_picture()),
-        ("patch_map", patch_map, lambda result: result.patch_picture()),
-    ]

@@ -33,6 +33,7 @@ class Outputs:
         labels: .npz of the sources, or None.
         report: .json, or None.
         pictures: other pictures, by a function of the result; None is left out.
+        files: other files, each with what writes it once all else is written.
     """
 
     output: Path
@@ -42,6 +43,7 @@ class Outputs:
     pictures: "list[tuple[str, Path | None, Callable[[Any], torch.Tensor]]]" = field(
         default_factory=list
     )
+    files: list[tuple[str, Path | None, Callable[[Path], None]]] = field(default_factory=list)
 
     def check(self, read: Mapping[str, Path]) -> None:
         """Refuses, before work starts, what cannot be written.
@@ -53,28 +55,49 @@ class Outputs:
 
         if self.bits not in (8, 16):
             raise ValueError(f"bits={self.bits} must be 8 or 16")
-        check_output(self.output, list(read.values()))
         if not holds(self.output, 3, self.bits):
             raise ValueError(f"bits={self.bits} cannot be saved as {self.output.suffix}; use .png")
-        for path, suffix, name in (
-            (self.labels, ".npz", "labels"),
-            (self.report, ".json", "report"),
+        written: list[Path] = []
+        for name, path, suffixes in (
+            ("output", self.output, images.SUFFIXES),
+            ("labels", self.labels, (".npz",)),
+            ("report", self.report, (".json",)),
+            *((name, path, images.SUFFIXES) for name, path, _ in self.pictures),
+            *((name, path, ()) for name, path, _ in self.files),
         ):
-            if path is not None:
-                images.check_writable(path, suffixes=(suffix,), name=name)
-        written = [self.output]
-        for name, path, _ in self.pictures:
             if path is None:
                 continue
-            images.check_writable(path, suffixes=images.SUFFIXES, name=name)
-            if path in written:
+            check_output(path, read.values(), name, suffixes)
+            if path.resolve() in written:
                 raise ValueError(f"{name}={str(path)!r} is another output too; choose another name")
-            written.append(path)
-            for source in read.values():
-                if path.exists() and source.exists() and path.samefile(source):
-                    raise ValueError(
-                        f"{name}={str(path)!r} would overwrite an input; choose another name"
-                    )
+            written.append(path.resolve())
+
+    def write(self, result: "Montage", about: dict[str, Any]) -> None:
+        """Writes all of it, the texture with what made it."""
+        from torchtex import image as images
+
+        save_picture(self.output, result.texture, self.bits, about)
+        if self.labels is not None:
+            result.field.save(self.labels)
+        if self.report is not None:
+            with images.atomic_write(self.report, name="report") as temporary:
+                temporary.write_text(json.dumps(about, indent=2) + "\n")
+        for name, path, draw in self.pictures:
+            if path is not None:
+                images.save(path, draw(result), name=name)
+        for _, path, save in self.files:
+            if path is not None:
+                save(path)
+
+
+def patch_pictures(
+    seams: Path | None, patch_map: Path | None
+) -> "list[tuple[str, Path | None, Callable[[Any], torch.Tensor]]]":
+    """The pictures of seams and of patches that most commands can write."""
+    return [
+        ("seams", seams, lambda result: result.seam_picture()),
+        ("patch_map", patch_map, lambda result: result.patch_picture()),
+    ]
 
 
 def carry_out(
@@ -98,7 +121,6 @@ def carry_out(
     import torch
 
     import torchtex
-    from torchtex import image as images
 
     outputs.check(read)
     if threads is not None:
@@ -107,7 +129,7 @@ def carry_out(
         "version": torchtex.__version__,
         "command": context.info_name,
         "options": kept_options(context),
-        "files": {name: sha256(path) for name, path in read.items()},
+        "files": {name: sha256(path, _parameter(context, name)) for name, path in read.items()},
     }
     with progress_bar(quiet) as watch:
         try:
@@ -121,16 +143,16 @@ def carry_out(
                 print(outputs.output)
             raise KeyboardInterrupt from None
     about |= result.report()
-    save_picture(outputs.output, result.texture, outputs.bits, about)
-    if outputs.labels is not None:
-        result.field.save(outputs.labels)
-    if outputs.report is not None:
-        with images.atomic_write(outputs.report, name="report") as temporary:
-            temporary.write_text(json.dumps(about, indent=2) + "\n")
-    for name, path, draw in outputs.pictures:
-        if path is not None:
-            images.save(path, draw(result), name=name)
+    outputs.write(result, about)
     print(outputs.output)
+
+
+def _parameter(context: typer.Context, name: str) -> str:
+    """The parameter that a file was named in."""
+    for parameter, value in context.params.items():
+        if name in map(str, value if isinstance(value, (list, tuple)) else [value]):
+            return parameter
+    return "file"
 
 
 def kept_options(context: typer.Context) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import typer
 
 from torchtex.cli.base import Interrupts, app, progress_bar
 from torchtex.cli.files import (
+    check_masks,
     check_output,
     choose,
     device_of,
@@ -17,17 +18,19 @@ from torchtex.cli.files import (
     extent_of,
     fitting,
     holds,
+    load_exemplars,
     parse_size,
-    same_channels,
     save_picture,
     sha256,
 )
 from torchtex.cli.options import (
     Bits,
+    Boundary,
     Device,
     Exemplars,
     KeepPartial,
     Labels,
+    Masks,
     Output,
     Quiet,
     Report,
@@ -96,11 +99,7 @@ class Recipe:
             raise ValueError(f"steps={self.steps} must be at least 1")
         if not self.exemplar:
             raise ValueError("exemplar: none given; give at least one picture")
-        if self.mask and len(self.mask) != len(self.exemplar):
-            raise ValueError(
-                f"mask: {len(self.mask)} given for {len(self.exemplar)} exemplars; "
-                "repeat --mask once per exemplar"
-            )
+        check_masks(self.exemplar, self.mask)
         if self.target is None and self.target_mask is not None:
             raise ValueError(f"target-mask={self.target_mask!r} needs --target")
 
@@ -169,13 +168,9 @@ def synth(
     steps: Annotated[
         int | None, typer.Option(help="Most iterations on every level; replaces the schedule's.")
     ] = None,
-    boundary: Annotated[
-        str, typer.Option(help="free, or periodic for a texture that tiles.")
-    ] = "free",
+    boundary: Boundary = "free",
     match: Annotated[str, typer.Option(help="Search: fast or exact.")] = "fast",
-    mask: Annotated[
-        list[str] | None, typer.Option(help="White where the exemplar may be used; one each.")
-    ] = None,
+    mask: Masks = None,
     init: Annotated[str | None, typer.Option(help="Picture to start from.")] = None,
     target: Annotated[
         str | None, typer.Option(help="Picture to be pulled to, of the texture's size.")
@@ -321,18 +316,8 @@ def _load(recipe: Recipe, device: "torch.device") -> _Inputs:
     from torchtex import image as images
     from torchtex.controls import SoftConstraint
 
-    pictures = [images.load(exemplar_path(z), name="exemplar") for z in recipe.exemplar]
-    exemplars = same_channels([picture.image for picture in pictures])
+    exemplars, masks = load_exemplars(recipe.exemplar, recipe.mask)
     channels = len(exemplars[0])
-    masks = [picture.mask for picture in pictures]
-    for number, name in enumerate(recipe.mask):
-        drawn = images.load_mask(name, extent_of(exemplars[number]), name="mask")
-        alpha = masks[number]
-        both = masks[number] = drawn if alpha is None else drawn & alpha
-        if not bool(both.any()):
-            raise ValueError(
-                f"mask={name!r} is white only where its exemplar is transparent; widen it"
-            )
     exemplars = [z.to(device) for z in exemplars]
     masks = [None if mask is None else mask.to(device) for mask in masks]
     inputs = _Inputs(exemplars, masks)

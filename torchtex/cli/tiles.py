@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from torchtex.cli.base import app
-from torchtex.cli.files import choose, exemplar_path, parse_size
+from torchtex.cli.files import choose, cut_of, exemplar_path, parse_size, solver_of
 from torchtex.cli.options import (
     Bits,
+    Cut,
     ExemplarName,
     KeepPartial,
     Labels,
@@ -19,16 +20,14 @@ from torchtex.cli.options import (
     SeamPicture,
     Seed,
     Size,
+    Solver,
     Threads,
 )
-from torchtex.cli.recipe import Outputs, carry_out
+from torchtex.cli.recipe import Outputs, carry_out, patch_pictures
 
 if TYPE_CHECKING:
     from torchtex.recipes.montage import Montage
     from torchtex.recipes.wang import WangSet
-
-CUTS = ("mincut", "dp")
-Cut = Annotated[str, typer.Option(help="Seams: mincut (free) or dp (one pixel in each line).")]
 
 
 @app.command()
@@ -41,6 +40,7 @@ def cyclic(
         typer.Option(help="HEIGHTxWIDTH that is laid over and lost, or best to search for it."),
     ] = "best",
     cut: Cut = "mincut",
+    solver: Solver = None,
     opening: Annotated[
         str, typer.Option(help="Where the border lies: best (least visible) or half.")
     ] = "best",
@@ -65,7 +65,7 @@ def cyclic(
     """
     from torchtex import image as images
 
-    choose("cut", cut, CUTS)
+    way, chosen = cut_of(cut), solver_of(solver, cut)
     choose("opening", opening, ("best", "half"))
     lost = None if overlap == "best" else _overlap(overlap)
     rows, columns = (1, 1) if preview is None else _preview(preview)
@@ -80,13 +80,14 @@ def cyclic(
         return run(
             picture,
             overlap=BestOverlap() if lost is None else lost,
-            cut="dp" if cut == "dp" else "mincut",
+            cut=way,
+            solver=chosen,
             opening="half" if opening == "half" else "best",
             poisson=poisson,
             on_step=watch,
         )
 
-    pictures = _pictures(seams, patch_map)
+    pictures = patch_pictures(seams, patch_map)
     pictures.append(
         (
             "preview",
@@ -113,6 +114,7 @@ def wang(
         bool, typer.Option("--complete", help="All tiles, 16 or 81, rather than 8 or 18.")
     ] = False,
     cut: Cut = "mincut",
+    solver: Solver = None,
     seed: Seed = 0,
     threads: Threads = None,
     bits: Bits = 8,
@@ -129,12 +131,8 @@ def wang(
     from torchtex import image as images
     from torchtex.recipes.wang import edges_path
 
-    choose("cut", cut, CUTS)
+    way, chosen = cut_of(cut), solver_of(solver, cut)
     images.check_writable(output, suffixes=(".png",), name="output")
-    beside = edges_path(output)
-    images.check_writable(beside, name="output")
-    if report is not None and report.resolve() == beside.resolve():
-        raise ValueError(f"report={str(report)!r} is the file of the edges; choose another name")
     path = exemplar_path(exemplar)
     picture = images.load(path, name="exemplar")
     made: list[WangSet] = []
@@ -147,7 +145,8 @@ def wang(
             colors=colors,
             tile=tile,
             complete=complete,
-            cut="dp" if cut == "dp" else "mincut",
+            cut=way,
+            solver=chosen,
             mask=picture.mask,
             seed=seed,
             on_step=watch,
@@ -155,15 +154,11 @@ def wang(
         made.append(found)
         return found.sheet()
 
-    carry_out(
-        context,
-        Outputs(output, bits, labels, report, _pictures(seams, patch_map)),
-        {exemplar: path},
-        make,
-        threads=threads,
-        quiet=quiet,
-    )
-    made[0].save_edges(output, bits=16 if bits == 16 else 8)
+    outputs = Outputs(
+        output, bits, labels, report, patch_pictures(seams, patch_map),
+        [("edges", edges_path(output), lambda _: made[0].save_edges(output, bits=bits))],
+    )  # fmt: skip
+    carry_out(context, outputs, {exemplar: path}, make, threads=threads, quiet=quiet)
 
 
 @app.command("wang-tile")
@@ -188,19 +183,12 @@ def wang_tile(
     found = WangSet.load(atlas)
     carry_out(
         context,
-        Outputs(output, bits, labels, report, _pictures(seams, patch_map)),
+        Outputs(output, bits, labels, report, patch_pictures(seams, patch_map)),
         {atlas: Path(atlas), str(edges_path(atlas)): edges_path(atlas)},
         lambda watch: found.tile(extent, seed),
         threads=threads,
         quiet=quiet,
     )
-
-
-def _pictures(seams: Path | None, patch_map: Path | None) -> list[Any]:
-    return [
-        ("seams", seams, lambda r: r.seam_picture()),
-        ("patch_map", patch_map, lambda r: r.patch_picture()),
-    ]
 
 
 def _overlap(text: str) -> tuple[int, int]:
