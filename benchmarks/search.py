@@ -30,7 +30,8 @@ import torch.nn.functional as F
 from exemplars import add_argument, crop, default_folder, load
 
 import torchtex
-from torchtex.patches import Qtp, pick, ssd, ssd_exhaustive, ssd_search
+from torchtex.patches import pick, ssd, ssd_exhaustive, ssd_search
+from torchtex.qtp import Qtp
 
 SIDE = 360
 SIZES = (32, 64, 92)

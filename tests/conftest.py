@@ -52,6 +52,13 @@ def spots(side: int = 48, seed: int = 0) -> Tensor:
     return (0.4 + 0.55 * ring[None] + grain).clamp(0, 1)
 
 
+def corner(size: int, width: int) -> Tensor:
+    """True in a border of that width along the top and the left."""
+    mask = torch.ones(size, size, dtype=torch.bool)
+    mask[width:, width:] = False
+    return mask
+
+
 @pytest.fixture
 def unchecked() -> Iterator[None]:
     """Shape checks off, as users have it: the test sees the error that they see."""

@@ -28,14 +28,14 @@ from .neighborhoods import Grid as Grid
 from .recipes.blend import blend as blend
 from .recipes.cyclic import cyclic as cyclic
 from .recipes.graphcut import graphcut as graphcut
-from .recipes.local_edit import Stroke as Stroke
-from .recipes.local_edit import brush as brush
 from .recipes.local_edit import edit as edit
 from .recipes.montage import Montage as Montage
 from .recipes.montage import Stage as Stage
 from .recipes.patchwise import patchwise as patchwise
 from .recipes.quilting import quilt as quilt
 from .recipes.quilting import transfer as transfer
+from .recipes.strokes import Stroke as Stroke
+from .recipes.strokes import brush as brush
 from .recipes.wang import WangSet as WangSet
 from .recipes.wang import wang_tiles as wang_tiles
 from .result import Checkpoint as Checkpoint

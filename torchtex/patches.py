@@ -1,22 +1,19 @@
 """Search for a patch, or part of one, among all positions of an exemplar.
 
-`ssd` costs every position, by Fourier transforms; `Qtp` finds the best few of them, sooner.
+`ssd` costs every position, by Fourier transforms; `qtp.Qtp` finds the best few of them, sooner.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchtex.image import check_image
-from torchtex.matching import Exact, Index, Matcher, principal_axes
 from torchtex.quadratic import threads
 
 _TRANSFORMED = 2**22  # pixels of templates, enlarged to the exemplar, transformed at a time
-_FITTED = 2**22  # cell values of a pyramid made at a time
-_SAMPLED = 1000  # patches that principal axes are made of
 _ROUNDING = 8 * torch.finfo(torch.float64).eps  # of a Fourier transform, with some room
 
 
@@ -127,7 +124,7 @@ class SsdSearch:
             >>> ssd_search(z)(torch.stack([z[:, :4, :4], z[:, 5:9, 5:9]])).shape
             torch.Size([2, 9, 9])
         """
-        t, m = _template(templates, mask, self.shape)
+        t, m = known_template(templates, mask, self.shape)
         dtype = templates.dtype
         t = torch.where(m > 0, t.double() - self.mean[:, None, None], 0)
         m = m.expand(len(t), 1, *m.shape[2:]) if len(m) > 1 else m
@@ -176,7 +173,7 @@ def ssd_search(
         >>> search(z[None, :, 2:6, 3:7])[0, 2, 3].item()
         0.0
     """
-    z, usable = _exemplar(exemplar, usable)
+    z, usable = known_exemplar(exemplar, usable)
     c, hz, wz = z.shape
     size = (_good(hz), _good(wz))
     with threads(1):
@@ -205,8 +202,8 @@ def ssd_exhaustive(
         >>> ssd_exhaustive(torch.ones(1, 3, 3), torch.zeros(1, 2, 2)).tolist()
         [[4.0, 4.0], [4.0, 4.0]]
     """
-    z, _ = _exemplar(exemplar, None)
-    t, m = _template(template[None], mask, (z.shape[0], z.shape[1], z.shape[2]))
+    z, _ = known_exemplar(exemplar, None)
+    t, m = known_template(template[None], mask, (z.shape[0], z.shape[1], z.shape[2]))
     t, m = t[0], m[0, 0]
     rows, cols = z.shape[1] - m.shape[0] + 1, z.shape[2] - m.shape[1] + 1
     costs = z.new_zeros(rows, cols)
@@ -247,7 +244,7 @@ def ssd_canvas(
         >>> costs[7, 7].item(), areas[7, 7].item()
         (0.0, 64)
     """
-    z, usable = _exemplar(exemplar, usable)
+    z, usable = known_exemplar(exemplar, usable)
     x, m = _known(canvas, filled, "canvas", "filled")
     if x.shape[0] != z.shape[0]:
         raise ValueError(
@@ -269,247 +266,6 @@ def ssd_canvas(
         noise = _norm(x) * _norm(z) + _norm(energy) * _norm(k) + _norm(m) * _norm(squares)
         costs = torch.where(found[0] < _ROUNDING * noise, 0, found[0])
     return torch.where(areas > 0, costs, torch.inf).to(canvas.dtype), areas
-
-
-@dataclass(frozen=True)
-class Qtp:
-    """Quadtree pyramid: approximate search for one zone of a patch, made ready once.
-
-    The zone is cut into cells of 2^level pixels a side, or what the zone leaves of them. At the
-    coarsest level all positions are searched by the means of the cells, reduced to principal
-    axes; the best go on to the next finer level, and the last few are ranked by their SSD. A
-    distance at a level is a lower bound of the SSD: one coordinate more holds the norm of what
-    the axes leave out, and (|a| - |b|)^2 <= |a - b|^2. Without it flat patches cannot be told
-    from grainy ones.
-
-    It is many times quicker than exhaustive search, but on exemplars of a few hundred pixels
-    hardly quicker than the transforms of `ssd_search`, which are exact: it pays for hundreds of
-    zones of one shape, searched in batches.
-
-    Args:
-        keep: how many go on from each level, the coarsest first; with two there are three levels.
-        axes: principal axes at the coarsest level; None for all cells as they are.
-        matcher: the search at the coarsest level.
-
-    Source: Liang et al. 2001 (patch-based sampling), section 4; Shen 2010, section 3.4.
-
-    Example:
-        >>> z = torch.rand(3, 40, 40)
-        >>> zone = torch.ones(12, 12, dtype=torch.bool)
-        >>> zone[3:, 3:] = False
-        >>> index = Qtp().fit(z, zone)
-        >>> costs, positions = index.search(z[None, :, 9:21, 5:17], 1)
-        >>> costs.item(), positions[0, 0].tolist()
-        (0.0, [9, 5])
-    """
-
-    keep: tuple[int, ...] = (128, 24)
-    axes: int | None = 64
-    matcher: Matcher = field(default_factory=Exact)
-
-    def __post_init__(self) -> None:
-        if not self.keep or min(self.keep) < 1:
-            raise ValueError(f"keep={self.keep} must name one or more counts of at least 1")
-        if self.axes is not None and self.axes < 1:
-            raise ValueError(f"axes={self.axes} must be at least 1, or None")
-
-    def fit(
-        self,
-        exemplar: Float[Tensor, "c hz wz"],
-        mask: Bool[Tensor, "h w"],
-        usable: Bool[Tensor, "hz wz"] | None = None,
-    ) -> "QtpIndex":
-        """The index of all positions of a patch in the exemplar.
-
-        Args:
-            mask: the zone of the patch that is compared.
-            usable: False at exemplar pixels that no match may touch.
-
-        Raises:
-            ValueError: the patch is larger than the exemplar, the mask is empty, or no position
-                is left.
-        """
-        z, usable = _exemplar(exemplar, usable)
-        c, wz = z.shape[0], z.shape[2]
-        with threads(1):
-            mean = z.mean((1, 2), keepdim=True)
-            z = z - mean if usable is None else torch.where(usable, z - mean, 0)
-            zeros = z.new_zeros(c, *mask.shape)
-            energy = ssd(z, zeros, mask, usable=usable)
-            positions = energy.isfinite().nonzero()
-            if not len(positions):
-                raise ValueError("usable leaves no position for the patch; allow more pixels")
-            levels = tuple(_level(z, mask, 2**i) for i in range(len(self.keep), -1, -1))
-            places = positions[:, 0] * wz + positions[:, 1]
-            axes = None if self.axes is None else _axes(levels[0], places, self.axes)
-            batch = max(1, _FITTED // (c * len(levels[0].cells)))
-            keys = torch.cat([_project(levels[0].at(p), axes) for p in places.split(batch)])
-            energy = energy[energy.isfinite()]
-            keys = _with_rest(keys, energy)
-        index = self.matcher.fit(keys)
-        return QtpIndex(mask, mean, levels, self.keep, axes, positions, places, energy, index)
-
-
-@dataclass(frozen=True)
-class QtpIndex:
-    """An exemplar made ready for one zone, by `Qtp`.
-
-    Args:
-        mask: (h, w), the zone.
-        mean: (c, 1, 1), taken off the exemplar and off templates.
-        levels: the cells, the coarsest level first.
-        keep: how many go on from each level.
-        axes: principal axes of the coarsest level, or None.
-        positions, places: allowed positions, (row, column) and as places in a flat image.
-        energy: sum of squares of the zone at each of them.
-        index: the search at the coarsest level.
-    """
-
-    mask: Tensor
-    mean: Tensor
-    levels: tuple["_Level", ...]
-    keep: tuple[int, ...]
-    axes: Tensor | None
-    positions: Tensor
-    places: Tensor
-    energy: Tensor
-    index: Index
-
-    def search(
-        self, templates: Float[Tensor, "n c h w"], k: int
-    ) -> tuple[Float[Tensor, "n k"], Int[Tensor, "n k 2"]]:
-        """The k best positions found for each template, best first.
-
-        Returns:
-            Their costs, which are those of `ssd` there, and their rows and columns. Fewer than k
-            where the exemplar has fewer positions.
-
-        Raises:
-            ValueError: k exceeds what the last level keeps, or a template does not fit the index.
-
-        Example:
-            >>> z = torch.rand(1, 16, 16)
-            >>> index = Qtp().fit(z, torch.ones(4, 4, dtype=torch.bool))
-            >>> index.search(z[None, :, :4, :4], 5)[1].shape
-            torch.Size([1, 5, 2])
-        """
-        if not 1 <= k <= min(self.keep):
-            raise ValueError(f"k={k} must lie in 1..{min(self.keep)}, or raise keep={self.keep}")
-        wanted = (self.mean.shape[0], self.mask.shape[0], self.mask.shape[1])
-        if tuple(templates.shape[1:]) != wanted:
-            raise ValueError(
-                f"template has shape {tuple(templates.shape[1:])}; the index is for {wanted}"
-            )
-        t, _ = _template(templates, self.mask, wanted)
-        with threads(1):
-            t = torch.where(self.mask, t - self.mean, 0)
-            table = summed_area(t)
-            queries = [level.of(t, table) for level in self.levels]
-            energy = t.square().sum((1, 2, 3))
-            coarse = _with_rest(_project(queries[0], self.axes), energy)
-        found = self.index.search(coarse, self.keep[0])[1]
-        with threads(1):
-            for i, count in enumerate((*self.keep[1:], k), start=1):
-                exact = i == len(self.keep)
-                costs, found = self._best(self.levels[i], queries[i], energy, found, count, exact)
-        return costs, self.positions[found]
-
-    def _best(
-        self,
-        level: "_Level",
-        queries: Tensor,
-        energy: Tensor,
-        found: Tensor,
-        count: int,
-        exact: bool,
-    ) -> tuple[Tensor, Tensor]:
-        """The nearest of the positions found so far, by the cells of one level."""
-        costs = []
-        for i, candidates in enumerate(found):
-            query, keys = queries[i : i + 1], level.at(self.places[candidates])
-            if not exact:  # there the cells leave nothing out
-                query = _with_rest(query, energy[i : i + 1])
-                keys = _with_rest(keys, self.energy[candidates])
-            costs.append((keys - query).square().sum(1))
-        ranked, order = torch.stack(costs).sort(dim=1, stable=True)
-        return ranked[:, :count], found.gather(1, order[:, :count])
-
-
-@dataclass(frozen=True)
-class _Level:
-    """One level of a pyramid: means of cells, each times the root of the cell's pixels.
-
-    So squared distances of cell means add up to a lower bound of the SSD.
-
-    Args:
-        cells: (k, 4), first row, first column, height and width of each cell in the patch.
-        images: (c, s hz wz), for each of s cell shapes the values at all places of the exemplar.
-        offset: (k,), from a position's place in the exemplar to each cell's value in `images`.
-    """
-
-    cells: Tensor
-    images: Tensor
-    offset: Tensor
-
-    def at(self, places: Int[Tensor, "n"]) -> Float[Tensor, "n d"]:
-        """Cell values of the exemplar's patches there."""
-        return self.images[:, places[:, None] + self.offset].transpose(0, 1).flatten(1)
-
-    def of(self, t: Float[Tensor, "n c h w"], table: Tensor) -> Float[Tensor, "n d"]:
-        """Cell values of templates, whose table of `summed_area` is given."""
-        row, col, height, width = self.cells.T
-        area = height * width
-        if bool((area == 1).all()):  # as they are: the table would round them
-            return t[..., row, col].flatten(1)
-        below, right = row + height, col + width
-        sums = table[..., below, right] - table[..., below, col]
-        sums = sums - (table[..., row, right] - table[..., row, col])
-        return (sums / area.sqrt()).to(t.dtype).flatten(1)
-
-
-def _level(z: Tensor, mask: Tensor, block: int) -> _Level:
-    cells = torch.tensor(_cells(mask, block), device=z.device)
-    (c, h, w), table = z.shape, summed_area(z)
-    shapes, kind = torch.unique(cells[:, 2:], dim=0, return_inverse=True)
-    images = z.new_zeros(c, len(shapes), h, w)
-    for i, (height, width) in enumerate(shapes.tolist()):
-        sums = z if height == width == 1 else box_sums(table, height, width)
-        images[:, i, : h - height + 1, : w - width + 1] = sums / (height * width) ** 0.5
-    return _Level(cells, images.flatten(1), (kind * h + cells[:, 0]) * w + cells[:, 1])
-
-
-def _cells(mask: Tensor, block: int) -> list[tuple[int, int, int, int]]:
-    """Blocks of a mask cut into rectangles that are True all over: row, column, height, width."""
-    h, w = mask.shape
-    free = mask.tolist()
-    cells = []
-    for r, c in ((r, c) for r in range(0, h, block) for c in range(0, w, block)):
-        bottom, right = min(r + block, h), min(c + block, w)
-        for i, j in ((i, j) for i in range(r, bottom) for j in range(c, right)):
-            if not free[i][j]:
-                continue
-            end = next((b for b in range(j, right) if not free[i][b]), right)
-            last = next((a for a in range(i, bottom) if not all(free[a][j:end])), bottom)
-            for a in range(i, last):
-                free[a][j:end] = [False] * (end - j)
-            cells.append((i, j, last - i, end - j))
-    return cells
-
-
-def _axes(level: _Level, places: Tensor, count: int) -> Tensor:
-    generator = torch.Generator().manual_seed(0)  # a choice of axes needs no other
-    order = torch.randperm(len(places), generator=generator)[:_SAMPLED]
-    return principal_axes(level.at(places[order.to(places.device)]), count, generator)
-
-
-def _project(values: Tensor, axes: Tensor | None) -> Tensor:
-    return values if axes is None else values @ axes
-
-
-def _with_rest(keys: Tensor, energy: Tensor) -> Tensor:
-    """Keys, and the norm of what they leave out of vectors of that energy."""
-    rest = (energy - keys.square().sum(1)).clamp(min=0).sqrt()
-    return torch.cat([keys, rest[:, None]], 1)
 
 
 def pick(
@@ -570,8 +326,16 @@ def _finite_costs(costs: Tensor) -> Tensor:
     return flat
 
 
-def _exemplar(exemplar: Tensor, usable: Tensor | None) -> tuple[Tensor, Tensor | None]:
-    """The exemplar with 0 where it may not be used."""
+def known_exemplar(exemplar: Tensor, usable: Tensor | None) -> tuple[Tensor, Tensor | None]:
+    """The exemplar with 0 where it may not be used, and a mask or None.
+
+    Raises:
+        ValueError: the exemplar is no image, or its mask is empty or of another size.
+
+    Example:
+        >>> known_exemplar(torch.ones(1, 1, 2), torch.tensor([[True, False]]))[0].tolist()
+        [[[1.0, 0.0]]]
+    """
     if usable is None:
         check_image(exemplar, "exemplar")
         return exemplar, None
@@ -592,10 +356,21 @@ def _known(image: Tensor, mask: Tensor, name: str, mask_name: str) -> tuple[Tens
     return image, mask.double()
 
 
-def _template(
+def known_template(
     templates: Tensor, mask: Tensor | None, shape: tuple[int, int, int]
 ) -> tuple[Tensor, Tensor]:
-    """Templates with 0 where they do not count, and (1 or n, 1, h, w) weights in float64."""
+    """Templates with 0 where they do not count, and (1 or n, 1, h, w) weights in float64.
+
+    Args:
+        shape: (channels, rows, columns) of the exemplar.
+
+    Raises:
+        ValueError: they do not fit the exemplar, or the mask makes no sense.
+
+    Example:
+        >>> known_template(torch.ones(2, 1, 3, 3), None, (1, 8, 8))[1].shape
+        torch.Size([1, 1, 3, 3])
+    """
     n, c, h, w = templates.shape
     if c != shape[0]:
         raise ValueError(f"template has {c} channels and exemplar {shape[0]}; give both the same")

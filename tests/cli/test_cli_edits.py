@@ -12,7 +12,8 @@ from conftest import Done, Run, pixels
 from torchtex import image as images
 from torchtex.cli.edits import marks_in, written_mark
 from torchtex.recipes.blend import blend
-from torchtex.recipes.local_edit import Objects, Stroke, brush, edit
+from torchtex.recipes.local_edit import Objects, edit
+from torchtex.recipes.strokes import Stroke, brush
 from torchtex.sources import SourceField
 
 SIZE = (40, 48)

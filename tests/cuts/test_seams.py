@@ -14,13 +14,8 @@ from torchtex.cuts.seams import (
     FLOOR,
     cut_patch,
     cut_seam,
-    dp_mask,
-    dp_seam,
     patch_views,
     present_seams,
-    quilt_costs,
-    quilt_cut,
-    quilt_mask,
     seam_costs,
     seam_energy,
 )
@@ -220,70 +215,6 @@ def test_views_show_the_neighbours() -> None:
     assert torch.equal(views[4, :, :, 1:], picture[:, :, :-1])
 
 
-def paths(h: int, w: int, closed: bool) -> list[list[int]]:
-    every = itertools.product(range(w), repeat=h)
-    return [
-        list(p)
-        for p in every
-        if all(abs(a - b) <= 1 for a, b in itertools.pairwise(p))
-        and (not closed or abs(p[0] - p[-1]) <= 1)
-    ]
-
-
-@pytest.mark.parametrize("closed", [False, True])
-@pytest.mark.parametrize(("h", "w"), [(1, 1), (1, 4), (5, 1), (5, 4), (6, 3), (4, 5)])
-def test_dp_seam_is_the_cheapest_path(closed: bool, h: int, w: int) -> None:
-    for seed in range(5):
-        error = noise(h, w, seed=seed)
-        seam = dp_seam(error, closed=closed).tolist()
-        rows = torch.arange(h)
-        expected = least([error[rows, torch.tensor(p)].sum() for p in paths(h, w, closed)])
-        assert seam in paths(h, w, closed)
-        assert float(error[rows, seam].sum()) == pytest.approx(expected)
-
-
-def test_dp_mask_runs_along_either_axis() -> None:
-    error = noise(7, 5)
-    mask = dp_mask(error, 0)
-    assert torch.equal(mask, torch.arange(5) > dp_seam(error)[:, None])
-    assert torch.equal(dp_mask(error.T, 1), mask.T)
-    closed = dp_seam(error, closed=True)
-    assert torch.equal(dp_mask(error, 0, closed=True).long().sum(1), 4 - closed)
-    assert dp_seam(torch.ones(4, 3)).tolist() == [0, 0, 0, 0]  # straight on
-
-
-@pytest.mark.parametrize(("left", "top"), [(6, 0), (0, 6), (6, 5), (0, 0), (1, 1)])
-@pytest.mark.parametrize("gradient", [False, True])
-def test_the_min_cut_of_a_quilt_costs_no_more_than_its_paths(
-    solver: MinCut, left: int, top: int, gradient: bool
-) -> None:
-    for seed in range(3):
-        old, new = noise(3, 18, 20, seed=seed), stripes(18, 20, seed=seed)
-        overlap = torch.zeros(18, 20, dtype=torch.bool)
-        overlap[:, :left] = True
-        overlap[:top] = True
-        by_path = quilt_mask(old, new, left, top)
-        by_cut = quilt_cut(old, new, left, top, gradient=gradient, solver=solver)
-        for mask in (by_path, by_cut):
-            assert mask[~overlap].all()
-            assert not mask[:, : min(left, 1)].any()
-            assert not mask[: min(top, 1)].any()
-        costs = quilt_costs(old, new, left, top, gradient=gradient)
-        assert seam_energy(by_cut, *costs) <= seam_energy(by_path, *costs) * (1 + 1e-12)
-
-
-def test_quilt_costs_are_those_of_the_overlap_and_go_on_beyond_it() -> None:
-    old, new = noise(3, 9, 8), noise(3, 9, 8, seed=1)
-    right, down = quilt_costs(old, new, 4, 3)
-    inside = seam_costs(old, new)
-    assert torch.equal(right[:, :3], inside[0][:, :3])
-    assert torch.equal(down[:2], inside[1][:2])
-    apart = (old - new).norm(dim=0)
-    torch.testing.assert_close(right[4:, 3], 2 * apart[4:, 3])
-    torch.testing.assert_close(down[2, 4:], 2 * apart[2, 4:])
-    assert not right[5:, 5:].any()
-
-
 def test_dtype_and_repetition() -> None:
     old, new = patchwork(9, 9, 0).float(), patch_views(noise(3, 9, 9, dtype=torch.float32))
     labels = cut_patch(old, new, *masks(9, 9))
@@ -296,11 +227,3 @@ def test_refuses(unchecked: None) -> None:
     first, second = masks(3, 1)
     with pytest.raises(ValueError, match="first and second share 3 pixels"):
         cut_seam(torch.zeros(3, 0), torch.zeros(2, 1), first, second)
-    with pytest.raises(ValueError, match="axis=2"):
-        dp_mask(torch.zeros(3, 3), 2)
-    with pytest.raises(ValueError, match="NaN or infinite"):
-        dp_seam(torch.full((3, 3), torch.nan))
-    with pytest.raises(ValueError, match="at least one pixel"):
-        dp_seam(torch.zeros(3, 0))
-    with pytest.raises(ValueError, match=r"left=9 must lie in 0\.\.8"):
-        quilt_mask(torch.zeros(3, 8, 8), torch.zeros(3, 8, 8), 9, 0)

@@ -6,7 +6,7 @@ import pytest
 import torch
 from conftest import noise, stripes
 
-from torchtex.patches import Qtp
+from torchtex.qtp import Qtp
 from torchtex.recipes.montage import Stage
 from torchtex.recipes.patchwise import patchwise
 

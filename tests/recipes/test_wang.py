@@ -10,7 +10,8 @@ from torch import Tensor
 
 from torchtex import image as images
 from torchtex.recipes.montage import Stage
-from torchtex.recipes.wang import Choice, WangSet, edge_colors, edges_path, wang_tiles
+from torchtex.recipes.tile_parts import Choice
+from torchtex.recipes.wang import WangSet, edge_colors, edges_path, wang_tiles
 
 QUICK = Choice(candidates=20, rounds=1, tries=1)
 NORTH, EAST, SOUTH, WEST = range(4)

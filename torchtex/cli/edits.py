@@ -4,7 +4,6 @@ import json
 import math
 import re
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,27 +11,37 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from torchtex.cli.base import app
-from torchtex.cli.files import choose, exemplar_path, extent_of, hint, same_channels
+from torchtex.cli.files import (
+    choose,
+    exemplar_path,
+    extent_of,
+    hint,
+    same_channels,
+    solver_of,
+)
 from torchtex.cli.options import (
+    Base,
     Bits,
     KeepPartial,
     Labels,
     Output,
     PatchPicture,
+    Plain,
     Quiet,
     Report,
     SeamPicture,
+    Solver,
     Threads,
 )
-from torchtex.cli.recipe import Outputs, carry_out
+from torchtex.cli.recipe import Outputs, carry_out, patch_pictures
 
 if TYPE_CHECKING:
     import torch
 
     from torchtex.cli.base import Watch
     from torchtex.recipes.blend import Blend
-    from torchtex.recipes.local_edit import Stroke
     from torchtex.recipes.montage import Montage
+    from torchtex.recipes.strokes import Stroke
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _STROKE = re.compile(
@@ -83,7 +92,7 @@ class Mark:
         Raises:
             ValueError: no such file, one of another size, or nothing painted.
         """
-        from torchtex.recipes.local_edit import Stroke
+        from torchtex.recipes.strokes import Stroke
 
         try:
             mask = self._mask(extent_of(reference))
@@ -95,7 +104,7 @@ class Mark:
         import torch
 
         from torchtex import image as images
-        from torchtex.recipes.local_edit import brush, polygon
+        from torchtex.recipes.strokes import brush, polygon
 
         if self.mask is not None:
             grey = images.luminance(images.load(self.mask, alpha=False, name="mask").image)
@@ -243,7 +252,7 @@ def _is_number(value: Any) -> bool:
 @app.command()
 def edit(
     context: typer.Context,
-    base: Annotated[str, typer.Argument(help="The picture to be changed, or a bundled exemplar.")],
+    base: Base,
     output: Output,
     reference: Annotated[
         str | None, typer.Option(help="Where the strokes are painted; the base unless given.")
@@ -278,7 +287,8 @@ def edit(
     objects: Annotated[
         bool, typer.Option(help="Keep objects whole, or use the paper's energy as it is.")
     ] = True,
-    plain: Annotated[bool, typer.Option("--plain", help="Copy pixels; no Poisson.")] = False,
+    plain: Plain = False,
+    solver: Solver = None,
     threads: Threads = None,
     bits: Bits = 8,
     labels: Labels = None,
@@ -294,6 +304,7 @@ def edit(
         marks += marks_in(strokes)
     if not marks:
         raise ValueError("stroke: none given; repeat --stroke MASK:ROW,COL or give --strokes FILE")
+    chosen = solver_of(solver)
     read = {name: exemplar_path(name) for name in (base, reference) if name is not None}
     if strokes is not None:
         read[str(strokes)] = strokes
@@ -320,26 +331,18 @@ def edit(
             band=band,
             objects=local_edit.Objects() if objects else None,
             poisson=not plain,
+            solver=chosen,
             on_step=watch,
         )
 
-    outputs = Outputs(output, bits, labels, report, _pictures(seams, patch_map))
+    outputs = Outputs(output, bits, labels, report, patch_pictures(seams, patch_map))
     carry_out(context, outputs, read, make, threads=threads, keep_partial=keep_partial, quiet=quiet)
-
-
-def _pictures(
-    seams: Path | None, patch_map: Path | None
-) -> "list[tuple[str, Path | None, Callable[[Any], torch.Tensor]]]":
-    return [
-        ("seams", seams, lambda result: result.seam_picture()),
-        ("patch_map", patch_map, lambda result: result.patch_picture()),
-    ]
 
 
 @app.command()
 def blend(
     context: typer.Context,
-    base: Annotated[str, typer.Argument(help="The picture to be changed, or a bundled exemplar.")],
+    base: Base,
     source: Annotated[str, typer.Argument(help="The picture a piece is taken from.")],
     output: Output,
     mask: Annotated[
@@ -355,7 +358,7 @@ def blend(
     boundary: Annotated[
         str, typer.Option(help="At the border of BASE: free, or dirichlet to refuse a piece there.")
     ] = "free",
-    plain: Annotated[bool, typer.Option("--plain", help="Copy pixels; no Poisson.")] = False,
+    plain: Plain = False,
     threads: Threads = None,
     bits: Bits = 8,
     labels: Labels = None,
@@ -398,7 +401,7 @@ def blend(
         )
         return _montage(done, size, place, plain, time.perf_counter() - started)
 
-    outputs = Outputs(output, bits, labels, report, _pictures(seams, patch_map))
+    outputs = Outputs(output, bits, labels, report, patch_pictures(seams, patch_map))
     carry_out(context, outputs, read, make, threads=threads, quiet=quiet)
 
 

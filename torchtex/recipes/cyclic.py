@@ -16,8 +16,9 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchtex.cuts.mincut import MinCut
+from torchtex.cuts.paths import dp_mask
 from torchtex.cuts.poisson import Guidance, solve
-from torchtex.cuts.seams import cut_seam, dp_mask, patch_views, seam_costs
+from torchtex.cuts.seams import cut_seam, patch_views, seam_costs
 from torchtex.image import check_image
 from torchtex.recipes.montage import Montage, Stage
 from torchtex.sources import copied

@@ -13,7 +13,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchtex.model import LabelSpace
-from torchtex.patches import Qtp, QtpIndex, SsdSearch, pick, ssd_exhaustive, ssd_search
+from torchtex.patches import SsdSearch, pick, ssd_exhaustive, ssd_search
+from torchtex.qtp import Qtp, QtpIndex
 from torchtex.quadratic import threads
 from torchtex.recipes.inputs import (
     Exemplars,

@@ -14,7 +14,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchtex.cuts.mincut import MinCut
-from torchtex.cuts.seams import cut_patch, patch_views, quilt_mask
+from torchtex.cuts.paths import quilt_cut, quilt_mask
+from torchtex.cuts.seams import patch_views
 from torchtex.image import check_image
 from torchtex.model import LabelSpace
 from torchtex.patches import SsdSearch, pick, ssd_search
@@ -225,11 +226,7 @@ class _Cut:
 
     def mask(self, old: Tensor, new: Tensor, left: int, top: int) -> Tensor:
         """True where the new block goes."""
-        first = torch.zeros(old.shape[2:], dtype=torch.bool, device=old.device)
-        fresh = torch.ones_like(first)
-        first[: min(top, 1)] = first[:, : min(left, 1)] = True
-        fresh[:top] = fresh[:, :left] = False
-        return cut_patch(old, new, first, fresh, solver=self.solver)
+        return quilt_cut(old, new, left, top, solver=self.solver)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -25,42 +25,24 @@ from torch import Tensor
 
 from torchtex import image as images
 from torchtex.cuts.mincut import MinCut
-from torchtex.cuts.seams import cut_patch, dp_seam, patch_views
 from torchtex.image import check_image
 from torchtex.patches import box_sums, summed_area
 from torchtex.recipes.inputs import check_seed, check_size, memory_of
 from torchtex.recipes.montage import Montage, Stage
+from torchtex.recipes.tile_parts import (
+    EAST,
+    NORTH,
+    SOUTH,
+    WEST,
+    Assembly,
+    Choice,
+    PatchSearch,
+    extents,
+    shift,
+)
 from torchtex.sources import SourceField, copied
 
 FORMAT = "torchtex wang tiles 1"
-_NORTH, _EAST, _SOUTH, _WEST = range(4)
-
-
-@dataclass(frozen=True)
-class Choice:
-    """How the patches of the colours are chosen: the best of many, one at a time, in turn.
-
-    Args:
-        candidates: random places tried for a patch while the others stay.
-        rounds: times that every patch is chosen.
-        tries: times that all this is begun anew.
-
-    Raises:
-        ValueError: a number below 1.
-
-    Example:
-        >>> Choice(tries=1).candidates
-        200
-    """
-
-    candidates: int = 200
-    rounds: int = 3
-    tries: int = 4
-
-    def __post_init__(self) -> None:
-        for name in ("candidates", "rounds", "tries"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name}={getattr(self, name)} must be at least 1")
 
 
 @dataclass(frozen=True)
@@ -100,10 +82,10 @@ class WangSet:
         for name, value, most in (("edges", self.edges, colors), ("pieces", self.pieces, 4)):
             if int(value.min()) < 0 or int(value.max()) >= most:
                 raise ValueError(f"{name} must lie in 0..{most - 1}")
-        if len(set(map(tuple, self.edges[:, [_NORTH, _WEST]].tolist()))) < colors**2:
+        if len(set(map(tuple, self.edges[:, [NORTH, WEST]].tolist()))) < colors**2:
             raise ValueError("edges leave pairs of colours to the north and west without a tile")
         room = torch.tensor(self.shape, device=self.places.device)
-        for extent, places in zip(_extents(side, self.reach), self.places, strict=True):
+        for extent, places in zip(extents(side, self.reach), self.places, strict=True):
             last = places + torch.tensor(extent, device=places.device)
             if bool((places < 0).any()) or bool((last > room).any()):
                 raise ValueError("places leave the exemplar")
@@ -124,7 +106,7 @@ class WangSet:
         n, side = len(self.tiles), self.side
         shifts = torch.tensor(
             [
-                [_shift(edge, self.places, int(color), side, self.reach) for edge, color in row]
+                [shift(edge, self.places, int(color), side, self.reach) for edge, color in row]
                 for row in (list(enumerate(colors)) for colors in self.edges.tolist())
             ],
             device=self.pieces.device,
@@ -222,7 +204,7 @@ class WangSet:
         fitting: dict[tuple[int, int], list[int]] = {}
         edges = self.edges.tolist()
         for number, colors in enumerate(edges):
-            fitting.setdefault((colors[_NORTH], colors[_WEST]), []).append(number)
+            fitting.setdefault((colors[NORTH], colors[WEST]), []).append(number)
         north = torch.randint(self.colors, (cols,), generator=generator).tolist()
         first = torch.randint(self.colors, (rows,), generator=generator).tolist()
         draws = torch.rand(rows, cols, generator=generator, dtype=torch.float64).tolist()
@@ -231,7 +213,7 @@ class WangSet:
             for col, share in enumerate(draw):
                 among = fitting[north[col], west]
                 number = among[int(share * len(among))]
-                north[col], west = edges[number][_SOUTH], edges[number][_EAST]
+                north[col], west = edges[number][SOUTH], edges[number][EAST]
                 chosen.append(number)
         return torch.tensor(chosen).view(rows, cols)
 
@@ -321,7 +303,7 @@ def wang_tiles(
     complete: bool = False,
     cut: Literal["mincut", "dp"] = "mincut",
     solver: MinCut | None = None,
-    choice: Choice = Choice(),
+    choice: Choice | None = None,
     mask: Bool[Tensor, "hz wz"] | None = None,
     seed: int = 0,
     on_step: Callable[[Stage], None] | None = None,
@@ -336,7 +318,7 @@ def wang_tiles(
         cut: "mincut" cuts freely between the four patches, "dp" along four paths from the corners
             to the centre.
         solver: of "mincut"; None for the first one that is installed.
-        choice: how hard to look for patches that fit together.
+        choice: how hard to look for patches that fit together; None for `Choice()`.
         mask: True where the exemplar may be used.
         seed: of the patches tried.
 
@@ -351,13 +333,14 @@ def wang_tiles(
         (8, [0, 0, 0, 0])
     """
     begin = time.perf_counter()
+    choice = Choice() if choice is None else choice
     check_image(exemplar, "exemplar")
     reach = _check(exemplar, colors, tile, cut, seed)
-    allowed = [_allowed(exemplar, mask, extent) for extent in _extents(tile, reach)]
+    allowed = [_allowed(exemplar, mask, extent) for extent in extents(tile, reach)]
     generator = torch.Generator().manual_seed(seed)
-    places = _Patches(exemplar, tile, reach, allowed, colors, generator).chosen(choice, on_step)
+    places = PatchSearch(exemplar, tile, reach, allowed, colors, generator).chosen(choice, on_step)
     edges = edge_colors(colors, complete=complete)
-    assemble = _Assembly(exemplar, places, tile, reach, cut, solver)
+    assemble = Assembly(exemplar, places, tile, reach, cut, solver)
     pieces = []
     for number, row in enumerate(edges.tolist()):
         pieces.append(assemble(row))
@@ -413,23 +396,6 @@ def edges_path(atlas: str | Path) -> Path:
     return Path(atlas).with_suffix(".json")
 
 
-def _extents(side: int, reach: int) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Height and width of the patch of a horizontal edge, and of a vertical one."""
-    return (2 * reach, side), (side, 2 * reach)
-
-
-def _along(edge: int, side: int, reach: int) -> tuple[int, int]:
-    """Row and column of a patch that lie on the first pixel of a tile with the patch on an edge."""
-    return ((reach, 0), (0, reach - side), (reach - side, 0), (0, reach))[edge]
-
-
-def _shift(edge: int, places: Tensor, color: int, side: int, reach: int) -> tuple[int, int]:
-    """What to add to a pixel of a tile for the pixel of the exemplar in the patch of an edge."""
-    row, col = places[edge % 2, color].tolist()
-    down, right = _along(edge, side, reach)
-    return row + down, col + right
-
-
 def _check(exemplar: Tensor, colors: int, tile: int, cut: str, seed: int) -> int:
     if colors not in (2, 3):
         raise ValueError(f"colors={colors} must be 2 or 3")
@@ -462,204 +428,6 @@ def _allowed(exemplar: Tensor, mask: Tensor | None, extent: tuple[int, int]) -> 
             "widen it or choose a smaller tile"
         )
     return full.nonzero()
-
-
-class _Patches(NamedTuple):
-    """The search for patches with cheap seams among them."""
-
-    exemplar: Tensor
-    side: int
-    reach: int
-    allowed: list[Tensor]
-    colors: int
-    generator: torch.Generator
-
-    def chosen(self, choice: Choice, on_step: Callable[[Stage], None] | None) -> Tensor:
-        best, least = None, float("inf")
-        for number in range(choice.tries):
-            if on_step is not None:
-                on_step(Stage(number / choice.tries / 2, "choose patches", self.exemplar))
-            places = torch.stack([self._draw(axis, self.colors) for axis in (0, 1)])
-            for _ in range(choice.rounds):
-                cost = 0.0
-                for color, axis in product(range(self.colors), (0, 1)):
-                    cost = self._improve(places, axis, color, choice.candidates)
-            if best is None or cost < least:
-                best, least = places, cost
-        assert best is not None
-        return best
-
-    def _draw(self, axis: int, count: int) -> Tensor:
-        allowed = self.allowed[axis]
-        drawn = torch.randint(len(allowed), (count,), generator=self.generator)
-        return allowed[drawn.to(allowed.device)]
-
-    def _improve(self, places: Tensor, axis: int, color: int, candidates: int) -> float:
-        """Puts the best of some candidates and the present patch in its place."""
-        tried = torch.cat([places[axis, color][None], self._draw(axis, candidates)])
-        cost = self._costs(tried, places[1 - axis], axis)
-        others = torch.cat([places[axis, :color], places[axis, color + 1 :]])
-        near = (tried[:, None] - others).abs().amax(2).amin(1)
-        # two colours with one patch would be one colour
-        cost = cost * (1 + 4 * (1 - near / (self.side // 2)).clamp(min=0))
-        best = int(cost.argmin())
-        places[axis, color] = tried[best]
-        return float(cost[best])
-
-    def _costs(self, tried: Tensor, others: Tensor, axis: int) -> Tensor:
-        """Costs of the seams, in the four corners of a tile, of patches with all the other axis's.
-
-        In every row of a quarter the least squared error near the diagonal, blurred a little
-        along it: nearly that of the best path, for many patches at once.
-        """
-        total = torch.zeros(len(tried), dtype=torch.float64, device=tried.device)
-        barred = ~_band(self.side // 2, tried.device)
-        for edge, across in product((axis, axis + 2), (1 - axis, 3 - axis)):
-            row, column = (edge, across) if axis == 0 else (across, edge)
-            ours = self._quarters(tried, edge, row, column)
-            for theirs in self._quarters(others, across, row, column):
-                error = (ours - theirs).square_().sum(1)
-                error[:, 1:-1] += error[:, :-2] + error[:, 2:]
-                least = error.masked_fill_(barred, torch.inf).amin(2)
-                total += least.double().sum(1)
-        return total
-
-    def _quarters(self, places: Tensor, edge: int, row: int, column: int) -> Tensor:
-        """(n, c, half, band) pixels of patches in a quarter of a tile, near its diagonal."""
-        half = self.side // 2
-        rows = torch.arange(half, device=places.device)[:, None]
-        cols = (rows + _aside(half, places.device)).clamp(0, half - 1)
-        rows = rows if row == _NORTH else self.side - 1 - rows
-        cols = cols if column == _WEST else self.side - 1 - cols
-        down, right = _along(edge, self.side, self.reach)
-        width = self.exemplar.shape[2]
-        corner = (places[:, 0] + down) * width + places[:, 1] + right
-        at = corner[:, None, None] + rows * width + cols
-        return self.exemplar.flatten(1)[:, at].transpose(0, 1)
-
-
-class _Assembly:
-    """Cuts tiles, by their colours."""
-
-    def __init__(
-        self,
-        exemplar: Tensor,
-        places: Tensor,
-        side: int,
-        reach: int,
-        cut: str,
-        solver: MinCut | None,
-    ) -> None:
-        self.exemplar, self.places, self.side, self.reach = exemplar, places, side, reach
-        self.solver, self.views = solver, patch_views(exemplar)
-        self.pieces = self._by_cut if cut == "mincut" else self._by_paths
-
-    def __call__(self, colors: list[int]) -> Int[Tensor, "s s"]:
-        """The edge whose patch each pixel shows."""
-        return self.pieces(colors)
-
-    def pixels(self, colors: list[int], pieces: Int[Tensor, "s s"]) -> Tensor:
-        """The tile."""
-        tile = self.exemplar.new_zeros(len(self.exemplar), self.side, self.side)
-        for edge in range(4):
-            rows, cols = _part(edge, self.side, self.reach)
-            here = pieces[rows, cols] == edge
-            shown = self._shown(self.exemplar[None], edge, colors[edge])[0]
-            tile[:, rows, cols] = torch.where(here, shown, tile[:, rows, cols])
-        return tile
-
-    def _shown(self, views: Tensor, edge: int, color: int) -> Tensor:
-        """The half of a patch, and a little more, that lies on the tile's side of its edge."""
-        down, right = _shift(edge, self.places, color, self.side, self.reach)
-        rows, cols = _part(edge, self.side, self.reach)
-        return views[
-            ..., rows.start + down : rows.stop + down, cols.start + right : cols.stop + right
-        ]
-
-    def _by_cut(self, colors: list[int]) -> Tensor:
-        """South and north first, then west and east over both, then once more around."""
-        canvas = self.views.new_zeros(*self.views.shape[:2], self.side, self.side)
-        pieces = torch.full((self.side, self.side), _SOUTH, device=canvas.device)
-        rows, cols = _part(_SOUTH, self.side, self.reach)
-        canvas[..., rows, cols] = self._shown(self.views, _SOUTH, colors[_SOUTH])
-        empty = torch.ones_like(pieces, dtype=torch.bool)
-        empty[rows, cols] = False
-        for edge in (_NORTH, _WEST, _EAST, _NORTH, _SOUTH, _WEST, _EAST):
-            rows, cols = _part(edge, self.side, self.reach)
-            first, second = self._held(edge)
-            missing = empty[rows, cols]
-            new = self._shown(self.views, edge, colors[edge])
-            old = canvas[..., rows, cols]
-            labels = cut_patch(
-                old, new, first[rows, cols] & ~missing, second[rows, cols] | missing,
-                solver=self.solver,
-            )  # fmt: skip
-            canvas[..., rows, cols] = torch.where(labels, new, old)
-            pieces[rows, cols] = torch.where(labels, edge, pieces[rows, cols])
-            empty[rows, cols] = False
-        return pieces
-
-    def _held(self, edge: int) -> tuple[Tensor, Tensor]:
-        """Pixels of a tile that must not show a patch, and those that must: its own edge."""
-        border = torch.ones(self.side, self.side, dtype=torch.bool, device=self.views.device)
-        border[1:-1, 1:-1] = False
-        own = torch.zeros_like(border)
-        if edge % 2 == 0:  # horizontal edges have the corners
-            own[0 if edge == _NORTH else -1] = True
-        else:
-            own[1:-1, 0 if edge == _WEST else -1] = True
-        first = border & ~own
-        # and where the patch ends
-        rows, cols = _part(edge, self.side, self.reach)
-        if edge % 2 == 0:
-            first[rows.stop - 1 if edge == _NORTH else rows.start] = True
-        else:
-            first[:, cols.stop - 1 if edge == _WEST else cols.start] = True
-        return first, own
-
-    def _by_paths(self, colors: list[int]) -> Tensor:
-        """A path from each corner to the centre."""
-        half, side = self.side // 2, self.side
-        pieces = torch.zeros(side, side, dtype=torch.long, device=self.views.device)
-        shown = {}
-        for edge in range(4):
-            rows, cols = _part(edge, side, self.reach)
-            shown[edge] = self.exemplar.new_zeros(len(self.exemplar), side, side)
-            shown[edge][:, rows, cols] = self._shown(self.exemplar[None], edge, colors[edge])[0]
-        band, aside = _band(half, self.views.device), _aside(half, self.views.device)
-        line = torch.arange(half, device=self.views.device)
-        offset = line - line[:, None]
-        for row, column in product((_NORTH, _SOUTH), (_WEST, _EAST)):
-            turned = [axis for axis, far in ((-2, row == _SOUTH), (-1, column == _EAST)) if far]
-            a, b = (shown[edge].flip(turned)[:, :half, :half] for edge in (row, column))
-            error = (a - b).square().sum(0).gather(1, (line[:, None] + aside).clamp(0, half - 1))
-            barred = 1 + 2 * half * error.max()
-            path = aside[dp_seam(torch.where(band, error, barred))]
-            inside = (offset > path[:, None]) | (line[:, None] == 0)
-            quarter = torch.where(inside, row, column).flip(turned)
-            rows = slice(half, side) if row == _SOUTH else slice(0, half)
-            cols = slice(half, side) if column == _EAST else slice(0, half)
-            pieces[rows, cols] = quarter
-        return pieces
-
-
-def _part(edge: int, side: int, reach: int) -> tuple[slice, slice]:
-    """Rows and columns of a tile that the patch of an edge covers."""
-    whole, near, far = slice(0, side), slice(0, reach), slice(side - reach, side)
-    return ((near, whole), (whole, far), (far, whole), (whole, near))[edge]
-
-
-def _aside(half: int, device: torch.device) -> Int[Tensor, "w"]:
-    """Columns away from the diagonal of a quarter that a path may go."""
-    return torch.arange(-(half // 2), half // 2 + 1, device=device)
-
-
-def _band(half: int, device: torch.device) -> Bool[Tensor, "s w"]:
-    """Where a path from the corner of a quarter to its end may run: a diamond on the diagonal."""
-    row = torch.arange(half, device=device)[:, None]
-    aside = _aside(half, device)
-    left = torch.minimum(row, (half - 1 - row).clamp(min=1))
-    return (aside <= torch.minimum(row, half - 2 - row)) & (aside >= -left)
 
 
 def _digest(atlas: Tensor) -> str:
