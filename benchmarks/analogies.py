@@ -4,8 +4,8 @@
 
 Each folder of `--pairs` holds source.png, mapped.png and constraint.png. Every method runs in a
 process of its own, one after another, on one thread unless `--threads` says otherwise; time and
-memory are those of its call alone. K and N are those that the CMS paper gives for the kind of
-pair, which its name begins with, and the same for all methods: `cms` and `random` minimise the
+memory are those of its call alone. K and N are those that `cms` recommends for the kind of pair,
+which its name begins with, and the same for all methods: `cms` and `random` minimise the
 energy of these K and N, and that of the labels of the others is counted with them. `random` has
 as many seconds of the processor as `cms` took, which therefore runs first.
 
@@ -58,15 +58,16 @@ class Settings:
     K: float
     N: int
     kappa: float = 1.0
+    turns: bool = True
     match: bool = False
 
 
 KINDS = {
-    "texture_by_numbers": Settings(2.0, 4, kappa=5.0),
-    "super_resolution": Settings(7.0, 7),
-    "texture_transfer": Settings(0.4, 4),
-    "artistic_filter": Settings(20.0, 5, match=True),
-    "": Settings(2.0, 5, kappa=2.0),
+    "texture_by_numbers": Settings(0.05, 3, kappa=5.0, turns=False),
+    "super_resolution": Settings(10.0, 2, turns=False),
+    "texture_transfer": Settings(4.0, 2),
+    "artistic_filter": Settings(2.0, 2, turns=False, match=True),
+    "": Settings(1.0, 3, kappa=2.0),
 }
 
 
@@ -89,9 +90,9 @@ def made(method: str, problem: Analogy, use: Settings, seconds: float):
     """What a method returns: texture, labeling, and how to render the mapped output."""
     if method in ("cms", "random"):
         if method == "cms":
-            result = cms(problem, K=use.K, N=use.N)
+            result = cms(problem, K=use.K, N=use.N, turns=use.turns)
         else:
-            result = random_placement(problem, K=use.K, N=use.N, seconds=seconds)
+            result = random_placement(problem, K=use.K, N=use.N, turns=use.turns, seconds=seconds)
         return result.texture, result.labeling, result.montage.apply
     if method == "analogies":
         result = image_analogies(problem, kappa=use.kappa)

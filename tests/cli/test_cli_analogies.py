@@ -90,9 +90,13 @@ def test_detail_tells_how_far_off_it_is(run: Run, here: Path) -> None:
     assert last.startswith("reduced again, the output is ")
     assert last.endswith(" % off")
     assert pixels("x.png").shape == (3, 32, 36)
-    assert 0 < json.loads(Path("r.json").read_text())["detail_error"] < 0.3
+    plain = json.loads(Path("r.json").read_text())["detail_error"]
+    assert 0 < plain < 0.3
     assert run("repeat", "x.png", "-o", "y.png", "--quiet") == Done(0, "y.png\n", "")
     assert torch.equal(pixels("x.png"), pixels("y.png"))
+    more = ("--method", "analogies", "--report", "r.json", "--back-project", "--quiet")
+    assert run(*given, "--detail", "4", *more) == Done(0, "x.png\n", "")
+    assert json.loads(Path("r.json").read_text())["detail_error"] < plain / 2
 
 
 def test_transfer_and_its_blur(run: Run, here: Path) -> None:
@@ -194,6 +198,7 @@ BAD: list[tuple[str, tuple[str, ...]]] = [
     ("constraint: 2 given; transfer takes one",
      (*other(mapped=None), "--constraint", "soft.png", "--transfer")),
     ("source: 2 given; numbers takes one", (*BASE, "--source", "t.png", "--numbers")),
+    ("back_project needs --detail", (*BASE, "--back-project")),
     ("blur=2.0 needs --transfer", (*BASE, "--blur", "2")),
     ("blur=-2.0 must be at least 0", (*other(mapped=None), "--transfer", "--blur=-2")),
     ("match_luminance does not go with numbers", (*BASE, "--numbers", "--match-luminance")),

@@ -81,12 +81,12 @@ def analogy(
     k: Annotated[
         float | None,
         typer.Option(
-            "--k", "-K", help="Weight of the constraint against seams, 2; of cms, random."
+            "--k", "-K", help="Weight of the constraint against seams, 1; of cms, random."
         ),
     ] = None,
     n: Annotated[
         int | None,
-        typer.Option("--n", "-N", help="Reach of the windows in pixels, 5; of cms, random."),
+        typer.Option("--n", "-N", help="Reach of the windows in pixels, 3; of cms, random."),
     ] = None,
     turns: Annotated[
         bool | None,
@@ -111,6 +111,12 @@ def analogy(
             metavar="FACTOR", help="Enlarge the constraint by it, with the detail of the source."
         ),
     ] = None,
+    back_project: Annotated[
+        bool,
+        typer.Option(
+            "--back-project", help="Of --detail: correct the colours by the small picture."
+        ),
+    ] = False,
     transfer: Annotated[
         bool, typer.Option("--transfer", help="Q and C are the lightness of S and C.")
     ] = False,
@@ -156,7 +162,7 @@ def analogy(
     _check_method(method, given)
     job = _Job(
         tuple(source), tuple(mapped or ()), tuple(constraint), tuple(weight or ()),
-        detail, transfer, blur, numbers, match_luminance,
+        detail, back_project, transfer, blur, numbers, match_luminance,
     )  # fmt: skip
     how = _How(method, k, n, turns is not False, mirrors, kappa, moves, seed)
     grid = _grid(sweep, more or [], how, labels, patch_map, curve)
@@ -188,11 +194,12 @@ class _Finished:
     made: "Montage | Result"
     curve: tuple[float, ...] = ()
     about: dict[str, Any] = field(default_factory=dict)
+    corrected: "torch.Tensor | None" = None
 
     @property
     def texture(self) -> "torch.Tensor":
         """The picture."""
-        return self.made.texture
+        return self.made.texture if self.corrected is None else self.corrected
 
     @property
     def field(self) -> Any:
@@ -213,6 +220,7 @@ class _Job:
     constraints: tuple[str, ...]
     weights: tuple[float, ...]
     detail: float | None
+    back_project: bool
     transfer: bool
     blur: float | None
     numbers: bool
@@ -226,6 +234,8 @@ class _Job:
             raise ValueError(f"{chosen[0]} does not go with {chosen[1]}; leave one of them out")
         if self.blur is not None and not self.transfer:
             raise ValueError(f"blur={self.blur} needs --transfer; leave it out")
+        if self.back_project and self.detail is None:
+            raise ValueError("back_project needs --detail; leave it out")
         if self.match and (self.numbers or self.detail is not None):
             raise ValueError(f"match_luminance does not go with {chosen[0]}; leave it out")
         if self.detail is not None and not 2 <= self.detail < float("inf"):
@@ -308,11 +318,14 @@ class _Job:
 
     def judged(self, done: _Finished, quiet: bool) -> _Finished:
         """With --detail, how well the output agrees with the small picture."""
-        from torchtex.recipes.analogy import detail_error
+        from torchtex.recipes.analogy import back_projected, detail_error
 
         if self.detail is None:
             return done
-        error = detail_error(done.texture, _load(self.constraints[0], "constraint"), self.detail)
+        low = _load(self.constraints[0], "constraint")
+        if self.back_project:
+            done = replace(done, corrected=back_projected(done.texture, low, self.detail))
+        error = detail_error(done.texture, low, self.detail)
         if not quiet:
             print(f"reduced again, the output is {100 * error:.2f} % off", file=sys.stderr)
         return replace(done, about=done.about | {"detail_error": error})
@@ -352,7 +365,7 @@ class _How:
     def _lowered(self, problem: "Analogy", watch: "Callable[[Any], None]") -> _Finished:
         from torchtex.recipes import cms, rivals
 
-        k, n = 2.0 if self.k is None else self.k, 5 if self.n is None else self.n
+        k, n = 1.0 if self.k is None else self.k, 3 if self.n is None else self.n
         made: cms.CmsResult
         if self.method == "cms":
             made = cms.cms(
@@ -395,7 +408,7 @@ def _check_method(method: str, given: dict[str, Any]) -> None:
 
 
 def _check_window(how: _How, problem: "Analogy") -> None:
-    n = 5 if how.n is None else how.n
+    n = 3 if how.n is None else how.n
     shortest = min(*problem.size, *(min(shape) for shape in problem.shapes))
     if how.method in _LOWERING and 2 * n + 1 > shortest:
         raise ValueError(

@@ -92,8 +92,8 @@ def constrained_quilting(
 def random_placement(
     problem: Analogy,
     *,
-    K: float = 2.0,
-    N: int = 5,
+    K: float = 1.0,
+    N: int = 3,
     moves: int | None = None,
     seconds: float | None = None,
     turns: bool = True,
