@@ -230,6 +230,10 @@ def test_transfer_compares_lightness() -> None:
     assert float(made.constraints[0].mean()) == pytest.approx(float(luminance(S).mean()), abs=0.02)
     blurred = analogy.transfer_problem(torch.ones(3, 9, 9), torch.ones(1, 6, 7), blur=1.5)
     torch.testing.assert_close(blurred.mapped[0][0], torch.ones(1, 9, 9))
+    bold = analogy.transfer_problem(S, 0.4 + 0.1 * C, contrast=2.0).constraints[0]
+    assert float(bold.std()) == pytest.approx(0.2 * float(C.std()))
+    with pytest.raises(ValueError, match=r"contrast=0.0 must"):
+        analogy.transfer_problem(S, S, contrast=0.0)
     with pytest.raises(ValueError, match=r"blur=-1.0 must be at least 0"):
         analogy.transfer_problem(S, S, blur=-1.0)
 

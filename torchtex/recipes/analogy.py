@@ -590,6 +590,7 @@ def transfer_problem(
     *,
     blur: float = 0.0,
     match: bool = False,
+    contrast: float = 1.0,
 ) -> Analogy:
     """Texture transfer: the target shown in a texture, by lightness.
 
@@ -597,9 +598,11 @@ def transfer_problem(
         blur: deviation, in pixels, of a Gaussian that both lightnesses are blurred by.
         match: give the target's lightness the mean and deviation of the source's first, since
             a texture cannot show what is lighter or darker than itself.
+        contrast: times the deviation of the target's lightness, in the end. A portrait with
+            `match` was clearest at 1.8: the source's rare tones are then used too.
 
     Raises:
-        ValueError: as `Analogy`, or `blur` is negative.
+        ValueError: as `Analogy`, or `blur` is negative, or `contrast` not positive.
 
     Source: Efros and Freeman 2001, section 3; Ramanarayanan and Bala 2007, section V-E.
 
@@ -611,10 +614,15 @@ def transfer_problem(
     check_image(target, "target")
     if not 0 <= blur < math.inf:
         raise ValueError(f"blur={blur} must be at least 0, and finite")
+    if not 0 < contrast < math.inf:
+        raise ValueError(f"contrast={contrast} must be above 0, and finite")
     mapped, constraint = luminance(source)[None], luminance(target)[None]
     if blur > 0:
         mapped, constraint = _blurred(mapped, blur), _blurred(constraint, blur)
     constraint = match_luminance(constraint, mapped) if match else constraint
+    if contrast != 1:
+        mean = constraint.mean()
+        constraint = ((constraint - mean) * contrast + mean).clamp(0, 1)
     return Analogy.of(source, mapped, constraint)
 
 
