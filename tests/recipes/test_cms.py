@@ -184,6 +184,12 @@ def test_dtype_is_kept(dtype: torch.dtype) -> None:
     assert result.texture.shape == (1, 1, 7)
 
 
+def test_energy_is_kept_exactly_enough_in_single_precision() -> None:
+    s, q, c = (noise(k, 14, 15, dtype=torch.float32, seed=i) for i, k in enumerate((3, 1, 1)))
+    result = cms(Analogy.of(s, q, c), K=20.0, N=3, apart=4, history=3)
+    assert result.moves[-1].energy == pytest.approx(result.energies.minimised, rel=1e-5)
+
+
 def test_no_pixel_is_left_without_a_label_however_few_moves_are_allowed() -> None:
     problem = Analogy.of(noise(3, 6, 5), noise(1, 6, 5), noise(1, 30, 31))
     result = cms(problem, K=1.0, N=2, apart=2, max_moves=0)

@@ -13,6 +13,7 @@ The output begins with no labels, which costs more than any label. Then, again a
 Source: Ramanarayanan and Bala 2007, Constrained texture synthesis via energy minimization.
 """
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -373,11 +374,11 @@ class _Canvas:
         to_below = (slice(around.top, around.bottom - 1), around.at[1])
         agreement = offer.agreement[part]
         steps = (
-            (agreement - self.unary[rows, cols])[takes],
-            (right - self.right[to_right]).flatten(),
-            (down - self.down[to_below]).flatten(),
+            (agreement.double() - self.unary[rows, cols])[takes],
+            (right.double() - self.right[to_right]).flatten(),
+            (down.double() - self.down[to_below]).flatten(),
         )
-        step = sum(float(rowwise_sum(x.double())) for x in steps)
+        step = sum(float(rowwise_sum(x)) for x in steps)
         if not step < 0:
             return 0, None
         self.energy += step
@@ -589,7 +590,8 @@ def _absent(problem: Analogy, K: float, N: int) -> float:
 
     guides = [problem.guide(), *(problem.guides(j) for j in range(len(problem.sources)))]
     most = K * (2 * N + 1) ** 2 * span(guides) + 8 * span(list(problem.sources)) ** 0.5
-    return 1 + 2 * most
+    # a power of two, exact in any precision
+    return 2.0 ** math.ceil(math.log2(1 + 2 * most))
 
 
 def _patches(labels: Int[Tensor, "h w 3"], moves: list[CmsMove]) -> Int[Tensor, "h w"]:
