@@ -19,40 +19,69 @@ def sample(
 ) -> Float[Tensor, "c y x"]:
     """The image read at fractional (row, column) places. Differentiable in both.
 
-    Whole places are read exactly, in float32 too: the weights are computed in float64.
+    Whole places are read exactly, in float32 too: places are taken in float64.
 
     Args:
         periodic: the image goes on beyond its edges as a tile; otherwise its edge pixels do.
-        cubic: cubic splines, which keep detail and overshoot a little beside sharp edges;
-            otherwise bilinear.
+        cubic: cubic convolution, which keeps detail and overshoots a little beside sharp edges;
+            otherwise bilinear. No frequency is amplified, so warps can follow each other.
 
-    Source: Keys 1981, cubic convolution, a = -3/4.
+    Source: Keys 1981, a = -1/2. With the -3/4 of `torch.nn.functional` slopes are not kept, and
+        each warp makes middle frequencies up to 3 % stronger.
 
     Example:
         >>> image = torch.tensor([[[1.0, 2.0, 4.0]]])
         >>> sample(image, torch.tensor([[[0.0, 0.0]], [[0.5, -1.0]]]), cubic=False).tolist()
         [[[1.5, 1.0]]]
     """
-    values, at = image.double(), place.to(image.device).double()
+    at = place.to(image.device).double()
     h, w = image.shape[1:]
-    margin = 0
+    if cubic:
+        return _cubic(image, at, periodic)
+    values = image.double()
     if periodic:
-        margin = 2
-        rows = torch.arange(-margin, h + margin, device=image.device) % h
-        columns = torch.arange(-margin, w + margin, device=image.device) % w
-        values = values[:, rows[:, None], columns]
-        at = torch.stack([at[0].remainder(h), at[1].remainder(w)]) + margin
-    size = values.shape[1:]
+        values = torch.cat([values, values[:, :1]], 1)
+        values = torch.cat([values, values[:, :, :1]], 2)
+        at = torch.stack([at[0].remainder(h), at[1].remainder(w)])
+        h, w = h + 1, w + 1
     # the middle of pixel i of n is at (2 i + 1) / n - 1; columns first
-    grid = torch.stack([(2 * at[1] + 1) / size[1] - 1, (2 * at[0] + 1) / size[0] - 1], -1)
+    grid = torch.stack([(2 * at[1] + 1) / w - 1, (2 * at[0] + 1) / h - 1], -1)
     read = F.grid_sample(
-        values[None],
-        grid[None],
-        mode="bicubic" if cubic else "bilinear",
-        padding_mode="border",
-        align_corners=False,
+        values[None], grid[None], mode="bilinear", padding_mode="border", align_corners=False
     )
     return read[0].to(image.dtype)
+
+
+def _cubic(
+    image: Float[Tensor, "c h w"], at: Float[Tensor, "2 y x"], periodic: bool
+) -> Float[Tensor, "c y x"]:
+    """Sum over the 4 x 4 pixels around each place."""
+    h, w = image.shape[1:]
+    taps = []
+    for place, count in ((at[0], h), (at[1], w)):
+        corner = place.detach().floor()
+        first, weights = corner.long() - 1, _keys(place - corner)
+        indices = [first + k for k in range(4)]
+        if periodic:
+            indices = [index.remainder(count) for index in indices]
+        else:
+            indices = [index.clamp(0, count - 1) for index in indices]
+        taps.append(
+            [(i, weight.to(image.dtype)) for i, weight in zip(indices, weights, strict=True)]
+        )
+    flat = image.flatten(1)
+    total = image.new_zeros(image.shape[0], *at.shape[1:])
+    for row, down in taps[0]:
+        for column, across in taps[1]:
+            total = total + down * across * flat[:, row * w + column]
+    return total
+
+
+def _keys(t: Float[Tensor, "y x"]) -> list[Float[Tensor, "y x"]]:
+    """Weights of the pixels at -1, 0, 1 and 2 for a place at t in [0, 1)."""
+    far = [-0.5 * t * (1 - t) ** 2, -0.5 * (1 - t) * t**2]
+    near = [1 + t**2 * (1.5 * t - 2.5), 1 + (1 - t) ** 2 * (1.5 * (1 - t) - 2.5)]
+    return [far[0], near[0], near[1], far[1]]
 
 
 def warp(

@@ -178,7 +178,7 @@ class Wave:
         period: frames until it looks the same; 0 stands still.
 
     Example:
-        >>> Wave(1.0, (0, 1), period=0)(0, 1, 4)[0].sign().tolist()
+        >>> Wave(1.0, (0.0, 1.0), period=0.0)(0, 1, 4)[0].sign().tolist()
         [[-1.0, -1.0, 1.0, 1.0]]
     """
 

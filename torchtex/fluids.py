@@ -202,9 +202,10 @@ class StableFluid:
             state = self._state(frame, height, width, cells)
             size = torch.tensor([height, width], dtype=torch.float64)
             ratio = (torch.tensor(state.shape[1:], dtype=torch.float64) / size)[:, None, None]
+            here = from_center((0.0, 0.0), height, width)
+            fine = self._read(state, here * ratio - 0.5) / ratio
             return traced(
-                lambda place: self._read(state, place * ratio - 0.5) / ratio,
-                from_center((0.0, 0.0), height, width),
+                lambda place: sample(fine, place - 0.5, periodic=self.periodic, cubic=False), here
             )
 
     def _state(self, frame: int, height: int, width: int, cells: float) -> Tensor:
