@@ -38,7 +38,9 @@ format: $(VENV)/installed-dev  ## Format the code and repair what ruff can
 	$(BIN)/python -m ruff check --fix .
 
 bench: $(VENV)/installed-dev  ## Measure torchtex; see benchmarks/
-	$(BIN)/python benchmarks/bench.py
+	for script in bench cuts search poisson tiles; do \
+		$(BIN)/python benchmarks/$$script.py || exit 1; \
+	done
 
 bench-peers: $(VENV)/installed-dev  ## Measure torchtex beside other programs that are installed
 	$(BIN)/python benchmarks/peers.py

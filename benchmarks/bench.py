@@ -7,18 +7,16 @@ output pixels). Whole runs each have a process of their own, so that peak memory
 
 import argparse
 import json
-import os
-import platform
 import resource
-import statistics
 import subprocess
 import sys
 import time
-from importlib.metadata import version
 from pathlib import Path
 
 import torch
-from exemplars import add_argument, crop, default_folder, load
+from common import add_arguments, environment, measured, photo_files, photos_of, timed
+from common import commit as _commit  # noqa: F401
+from exemplars import crop, load
 from tables import render
 
 import torchtex
@@ -31,26 +29,6 @@ FEATURES = {
     "db2": torchtex.Wavelets("db2"),
     "db4": torchtex.Wavelets("db4"),
 }
-
-
-def timed(work, repeats):
-    """Median and spread of the seconds of a call, and of its CPU seconds, after one warm-up.
-
-    On a machine that does other work too, the CPU seconds of one thread are the fair figure.
-    """
-    work()
-    seconds, cpu = [], []
-    for _ in range(repeats):
-        start, start_cpu = time.perf_counter(), time.process_time()
-        work()
-        seconds.append(time.perf_counter() - start)
-        cpu.append(time.process_time() - start_cpu)
-    return {
-        "median": statistics.median(seconds),
-        "least": min(seconds),
-        "most": max(seconds),
-        "cpu": statistics.median(cpu),
-    }
 
 
 def synthesized(exemplar, size, **options):
@@ -172,10 +150,10 @@ def child(path, extent, size, threads):
     print(json.dumps(report | {"energy": result.energies[-1]}))
 
 
-def runs(folder, threads):
+def runs(files, threads):
     """128 -> 256, 256 -> 512 and 256 -> 1024 on every exemplar that is large enough."""
     rows = []
-    for path in sorted(Path(folder).glob("*.png")):
+    for path in files:
         shape = load(Path(path)).shape
         large = [(256, 512), (256, 1024)] if min(shape[1:]) >= 256 else []
         cases = [(128, 256), *large]
@@ -186,10 +164,10 @@ def runs(folder, threads):
     return rows
 
 
-def growth(folder, threads):
+def growth(files, threads):
     """One exemplar of 256 px to 512, 1024 and 2048."""
-    large = [p for p in sorted(Path(folder).glob("*.png")) if _side(p) >= 256]
-    path = str((large or sorted(Path(folder).glob("*.png")))[0])
+    large = [path for path in files if _side(path) >= 256]
+    path = str((large or files)[0])
     rows = []
     for size in (512, 1024, 2048):
         rows.append({"size": size, **whole(path, 256, size, threads)})
@@ -203,51 +181,33 @@ def _side(path):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
-    add_argument(parser)
-    parser.add_argument("--out", default=Path(__file__).parent / "results", type=Path)
-    parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--repeats", type=int, default=3)
+    add_arguments(
+        parser, threads=2, repeats=3, sections="mstep,energies,estep,runs,growth,features"
+    )
     parser.add_argument("--seeds", type=int, default=1)
-    parser.add_argument("--sections", default="mstep,energies,estep,runs,growth,features")
     parser.add_argument("--child", nargs=4, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.child:
         return child(*options.child)
     torch.set_num_threads(options.threads)
-    folder = options.exemplars or default_folder()
-    photos = {path.stem: load(path) for path in sorted(Path(folder).glob("*.png"))}
+    photos, files = photos_of(options), photo_files(options)
     sections = {
         "mstep": lambda: mstep(photos, options.repeats),
         "energies": lambda: energies(photos),
         "estep": lambda: estep(photos, options.repeats),
-        "runs": lambda: runs(folder, options.threads),
-        "growth": lambda: growth(folder, options.threads),
+        "runs": lambda: runs(files, options.threads),
+        "growth": lambda: growth(files, options.threads),
         "features": lambda: features(photos, options.seeds),
     }
-    options.out.mkdir(parents=True, exist_ok=True)
     file = options.out / "bench.json"
-    report = json.loads(file.read_text()) if file.exists() else {}
-    report["environment"] = {
-        "torchtex": torchtex.__version__,
-        "torch": torch.__version__,
-        "faiss": version("faiss-cpu"),
-        "python": platform.python_version(),
-        "cores": os.cpu_count(),
-        "threads": options.threads,
-        "device": "cpu",
-        "commit": _commit(),
-    }
-    for section in options.sections.split(","):
-        report[section] = sections[section]()
-        file.write_text(json.dumps(report, indent=1))
-        file.with_suffix(".md").write_text(render(report))
+    measured(
+        file,
+        {"environment": environment(options.threads, "faiss-cpu")},
+        sections,
+        options.sections,
+        lambda report: file.with_suffix(".md").write_text(render(report)),
+    )
     return None
-
-
-def _commit():
-    command = ["git", "rev-parse", "--short", "HEAD"]
-    found = subprocess.run(command, capture_output=True, text=True, check=False)
-    return found.stdout.strip() or "unknown"
 
 
 if __name__ == "__main__":

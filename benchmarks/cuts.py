@@ -16,33 +16,22 @@ the repeats; overheads compare the least times, which bear a busy machine best.
 
 import argparse
 import ctypes
-import json
-import os
 import platform
 import statistics
 import time
-from importlib.metadata import version
 from pathlib import Path
 
 import maxflow
 import numpy as np
 import torch
 import torch.nn.functional as F
-from bench import _commit as commit
-from exemplars import add_argument, crop, default_folder, load
+from common import add_arguments, environment, measured, photos_of
+from exemplars import crop
 
-import torchtex
 from torchtex.cuts.expansion import Potts, Table, every_label, expand
 from torchtex.cuts.mincut import OrTools, PyMaxflow, cut_energy, cut_grid, grid_edges
-from torchtex.cuts.seams import (
-    cut_patch,
-    patch_views,
-    quilt_costs,
-    quilt_cut,
-    quilt_mask,
-    seam_costs,
-    seam_energy,
-)
+from torchtex.cuts.paths import quilt_cut, quilt_mask
+from torchtex.cuts.seams import cut_patch, patch_views, present_seams, seam_costs
 
 TARGET = {"overhead": 0.15, "patch_ms": 20}
 
@@ -114,7 +103,7 @@ def bare(unary, right, down):
     return graph.get_grid_segments(nodes)
 
 
-def mincut(_, repeats):
+def mincut(repeats):
     rows = []
     for kind in (denoise, seam):
         for side in (128, 256, 512):
@@ -196,19 +185,20 @@ def quilt(photos, repeats):
     """Seam cost in the L-shaped overlap of blocks that were chosen at random."""
     rows = []
     for name, photo in photos.items():
-        z, size, width = crop(photo, 192), 48, 12
-        room = [extent - size + 1 for extent in z.shape[1:]]
+        views, size, width = patch_views(crop(photo, 192)), 48, 12
+        room = [extent - size + 1 for extent in views.shape[2:]]
         generator = torch.Generator().manual_seed(0)
         ratios = []
         for _ in range(20):
             at = [[int(torch.randint(n, (1,), generator=generator)) for n in room] for _ in "on"]
-            old, new = (z[:, i : i + size, j : j + size] for i, j in at)
-            block = (old, new, width, width)
-            costs, path, cut = quilt_costs(*block), quilt_mask(*block), quilt_cut(*block)
-            ratios.append(float(seam_energy(cut, *costs) / seam_energy(path, *costs)))
+            old, new = (views[..., i : i + size, j : j + size] for i, j in at)
+            masks = quilt_cut(old, new, width, width), quilt_mask(old[0], new[0], width, width)
+            seams = [present_seams(torch.where(mask, new, old)) for mask in masks]
+            cut, path = (float(right.sum() + down.sum()) for right, down in seams)
+            ratios.append(cut / path)
         works = {
-            "paths": lambda b=block: quilt_mask(*b),
-            "cut": lambda b=block: quilt_cut(*b),
+            "paths": lambda o=old, n=new, w=width: quilt_mask(o[0], n[0], w, w),
+            "cut": lambda o=old, n=new, w=width: quilt_cut(o, n, w, w),
         }
         row = {"exemplar": name, "ratio": statistics.median(ratios), "ms": in_turn(works, repeats)}
         rows.append(row)
@@ -216,7 +206,7 @@ def quilt(photos, repeats):
     return rows
 
 
-def expansion(_, repeats):
+def expansion(repeats):
     side, count = 64, 20
     levels = torch.linspace(0, 1, count, dtype=torch.float64)
     image = smooth_noise(side, 5).flatten()
@@ -244,34 +234,21 @@ def expansion(_, repeats):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
-    add_argument(parser)
     default = Path(__file__).parent / "results" / "cuts.json"
-    parser.add_argument("--out", default=default, type=Path)
-    parser.add_argument("--repeats", type=int, default=15)
-    parser.add_argument("--sections", default="mincut,patch,quilt,expansion")
+    everything = "mincut,patch,quilt,expansion"
+    add_arguments(parser, threads=None, repeats=15, sections=everything, out=default)
     options = parser.parse_args()
     torch.set_num_threads(1)
     keep_memory()
-    folder = options.exemplars or default_folder()
-    photos = {path.stem: load(path) for path in sorted(Path(folder).glob("*.png"))}
-    sections = {"mincut": mincut, "patch": patch, "quilt": quilt, "expansion": expansion}
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    report = json.loads(options.out.read_text()) if options.out.exists() else {}
-    report["environment"] = {
-        "torchtex": torchtex.__version__,
-        "torch": torch.__version__,
-        "PyMaxflow": version("PyMaxflow"),
-        "ortools": version("ortools"),
-        "python": platform.python_version(),
-        "cores": os.cpu_count(),
-        "threads": 1,
-        "device": "cpu",
-        "commit": commit(),
+    photos, repeats = photos_of(options), options.repeats
+    sections = {
+        "mincut": lambda: mincut(repeats),
+        "patch": lambda: patch(photos, repeats),
+        "quilt": lambda: quilt(photos, repeats),
+        "expansion": lambda: expansion(repeats),
     }
-    report["target"] = TARGET
-    for section in options.sections.split(","):
-        report[section] = sections[section](photos, options.repeats)
-        options.out.write_text(json.dumps(report, indent=1) + "\n")
+    about = {"environment": environment(1, "PyMaxflow", "ortools"), "target": TARGET}
+    measured(options.out, about, sections, options.sections)
 
 
 if __name__ == "__main__":

@@ -13,20 +13,16 @@ values at the border), and over the norm of the slope at the start (`of_start`, 
 
 import argparse
 import json
-import os
-import platform
 import resource
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import torch
 import torch.nn.functional as F
-from bench import _commit, timed
-from exemplars import add_argument, default_folder, load
+from common import add_arguments, environment, measured, once, photo_files, timed
+from exemplars import load
 
-import torchtex
 from torchtex.cuts.poisson import Guidance, gradients, solve
 
 CASES = {"sine": "auto", "cosine": "auto", "wave": "auto", "mask": "auto", "iterative": "iterative"}
@@ -91,30 +87,23 @@ def child(case, side, threads, repeats, source, base):
         return solve(guidance, base, mask, boundary="free", method=CASES[case])
 
     idle = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    start = time.process_time()
-    found = work()
-    cpu = time.process_time() - start
+    found, spent = once(work)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     residual, of_start = residuals(found, guidance, base, mask)
     row = {"case": case, "side": side, "megapixels": side * side / 2**20}
-    row |= {"share": float(mask.float().mean()), "seconds": timed(work, int(repeats)), "cpu_s": cpu}
+    row |= {
+        "share": float(mask.float().mean()),
+        "seconds": timed(work, int(repeats)),
+        "cpu_s": spent["cpu"],
+    }
     row |= {"residual": residual, "of_start": of_start, "idle_mib": idle, "peak_mib": peak}
     print(json.dumps(row))
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__)
-    add_argument(parser)
-    parser.add_argument("--out", default=Path(__file__).parent / "results", type=Path)
-    parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--child", nargs=6, help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    if options.child:
-        return child(*options.child)
-    photos = sorted(Path(options.exemplars or default_folder()).glob("*.png"))
-    rows = []
-    for side in SIDES:
+def rows_of(options):
+    """One row for each size and case, measured in a process of its own."""
+    photos, rows = photo_files(options), []
+    for side in options.sides:
         for case in CASES:
             settings = (case, side, options.threads, options.repeats, photos[0], photos[-1])
             command = [sys.executable, __file__, "--child", *map(str, settings)]
@@ -132,20 +121,20 @@ def main():
                 f"{row['peak_mib'] - row['idle_mib']:.0f} MiB",
                 flush=True,
             )
-    report = {
-        "environment": {
-            "torchtex": torchtex.__version__,
-            "torch": torch.__version__,
-            "python": platform.python_version(),
-            "cores": os.cpu_count(),
-            "threads": options.threads,
-            "device": "cpu",
-            "commit": _commit(),
-        },
-        "poisson": rows,
-    }
-    options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "poisson.json").write_text(json.dumps(report, indent=1))
+    return rows
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    add_arguments(parser, threads=1, repeats=3, sections="poisson")
+    parser.add_argument("--sides", type=int, nargs="+", default=SIDES, help="of the images")
+    parser.add_argument("--child", nargs=6, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.child:
+        return child(*options.child)
+    about = {"environment": environment(options.threads)}
+    sections = {"poisson": lambda: rows_of(options)}
+    measured(options.out / "poisson.json", about, sections, options.sections)
     return None
 
 

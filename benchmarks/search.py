@@ -14,20 +14,14 @@ synthesised from a corner of the photo, so that one exact arm seldom exists.
 """
 
 import argparse
-import json
 import math
-import os
-import platform
 import statistics
-import subprocess
-import time
-from importlib.metadata import version
 from itertools import pairwise
-from pathlib import Path
 
 import torch
 import torch.nn.functional as F
-from exemplars import add_argument, crop, default_folder, load
+from common import add_arguments, environment, measured, photos_of, timed
+from exemplars import crop
 
 import torchtex
 from torchtex.patches import pick, ssd, ssd_exhaustive, ssd_search
@@ -36,26 +30,6 @@ from torchtex.qtp import Qtp
 SIDE = 360
 SIZES = (32, 64, 92)
 TARGET = {"fft_speedup": 10, "fft_error": 1e-4, "qtp_speedup": 5, "qtp_excess": 1.05}
-
-
-def timed(work, repeats):
-    """Median and spread of the seconds of a call, and of its CPU seconds, after one warm-up.
-
-    On a machine that does other work too, the CPU seconds of one thread are the fair figure.
-    """
-    work()
-    seconds, cpu = [], []
-    for _ in range(repeats):
-        start, start_cpu = time.perf_counter(), time.process_time()
-        work()
-        seconds.append(time.perf_counter() - start)
-        cpu.append(time.process_time() - start_cpu)
-    return {
-        "median": statistics.median(seconds),
-        "least": min(seconds),
-        "most": max(seconds),
-        "cpu": statistics.median(cpu),
-    }
 
 
 def convolved(z, t, mask):
@@ -231,45 +205,19 @@ def table(rows):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
-    add_argument(parser)
-    parser.add_argument("--out", default=Path(__file__).parent / "results", type=Path)
-    parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--repeats", type=int, default=3)
+    add_arguments(parser, threads=1, repeats=3, sections="fft,qtp")
     parser.add_argument("--queries", type=int, default=40)
     parser.add_argument("--names", default="grass_lawn,brick_gray,pebbles_mixed,leaf_litter")
-    parser.add_argument("--sections", default="fft,qtp")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
-    folder = options.exemplars or default_folder()
-    photos = {path.stem: load(path) for path in sorted(Path(folder).glob("*.png"))}
+    photos = photos_of(options)
     names = [name for name in options.names.split(",") if name in photos] or list(photos)[:4]
     sections = {
         "fft": lambda: fft(photos, options.repeats),
         "qtp": lambda: qtp(photos, options.repeats, options.queries, names),
     }
-    options.out.mkdir(parents=True, exist_ok=True)
-    file = options.out / "search.json"
-    report = json.loads(file.read_text()) if file.exists() else {}
-    report["target"] = TARGET
-    report["environment"] = {
-        "torchtex": torchtex.__version__,
-        "torch": torch.__version__,
-        "faiss": version("faiss-cpu"),
-        "python": platform.python_version(),
-        "cores": os.cpu_count(),
-        "threads": options.threads,
-        "device": "cpu",
-        "commit": _commit(),
-    }
-    for section in options.sections.split(","):
-        report[section] = sections[section]()
-        file.write_text(json.dumps(report, indent=1))
-
-
-def _commit():
-    command = ["git", "rev-parse", "--short", "HEAD"]
-    found = subprocess.run(command, capture_output=True, text=True, check=False)
-    return found.stdout.strip() or "unknown"
+    about = {"target": TARGET, "environment": environment(options.threads, "faiss-cpu")}
+    measured(options.out / "search.json", about, sections, options.sections)
 
 
 if __name__ == "__main__":

@@ -13,22 +13,17 @@ too, along the cut, by `seam_visibility`.
 """
 
 import argparse
-import json
-import os
-import platform
 import statistics
-import time
-from importlib.metadata import version
-from pathlib import Path
 
 import torch
-from bench import _commit as commit
-from exemplars import add_argument, crop, default_folder, load
+from common import add_arguments, environment, measured, once, photos_of
+from exemplars import crop
 
 import torchtex
 from torchtex import metrics
 from torchtex.recipes.cyclic import BestOverlap, cyclic, seam_visibility
-from torchtex.recipes.wang import Choice, wang_tiles
+from torchtex.recipes.tile_parts import Choice
+from torchtex.recipes.wang import wang_tiles
 
 SIDE = 256
 WAYS = {
@@ -40,20 +35,13 @@ WAYS = {
 }
 
 
-def measured(tile, texture):
+def looks(tile, texture):
     """Seams at the border of a tile, and a distance of its patches to those of the texture."""
     return {
         "border": metrics.seam(tile),
         "border_worst": metrics.seam(tile, segment=16),
         "swd": metrics.swd(tile, texture),
     }
-
-
-def timed(work, *given, **options):
-    """What a call returns, and its wall and CPU seconds."""
-    start, cpu = time.perf_counter(), time.process_time()
-    found = work(*given, **options)
-    return found, {"seconds": time.perf_counter() - start, "cpu": time.process_time() - cpu}
 
 
 def cyclic_rows(photos):
@@ -64,15 +52,15 @@ def cyclic_rows(photos):
         size = texture.shape[1:]
         for way, options in WAYS.items():
             overlap = options.get("overlap", (size[0] // 4, size[1] // 4))
-            tile, spent = timed(cyclic, texture, **(options | {"overlap": overlap}))
+            tile, spent = once(cyclic, texture, **(options | {"overlap": overlap}))
             cut = seam_visibility(tile)
             row = {"exemplar": name, "way": way, "size": list(tile.texture.shape[1:])}
-            row |= measured(tile.texture, texture)
+            row |= looks(tile.texture, texture)
             rows.append(row | {"cut": cut.mean, "cut_worst": cut.worst} | spent)
         extent = tuple(rows[-1]["size"])
-        made, spent = timed(torchtex.synthesize, texture, extent, boundary="periodic")
+        made, spent = once(torchtex.synthesize, texture, extent, boundary="periodic")
         row = {"exemplar": name, "way": "synthesize periodic", "size": list(extent)}
-        rows.append(row | measured(made.texture, texture) | spent)
+        rows.append(row | looks(made.texture, texture) | spent)
         print(name, *(f"{r['way']}: {r['border']:.2f}" for r in rows[-6:]), sep="  ", flush=True)
     return rows
 
@@ -91,8 +79,8 @@ def wang_rows(photos):
         if min(exemplar.shape[1:]) < 160:
             continue
         for way, options in ways.items():
-            tiles, spent = timed(wang_tiles, exemplar, tile=64, **options)
-            whole, laid = timed(tiles.tile, (512, 512), seed=1)
+            tiles, spent = once(wang_tiles, exemplar, tile=64, **options)
+            whole, laid = once(tiles.tile, (512, 512), seed=1)
             x = whole.texture[:, :256, :256]
             row = {"exemplar": name, "way": way, "tiles": len(tiles.tiles)}
             row |= {"step": _step(tiles), "swd": metrics.swd(x, exemplar)}
@@ -130,34 +118,24 @@ def summary(rows):
     return found
 
 
+def summed(rows):
+    """Rows, and what they sum up to."""
+    return {"summary": summary(rows), "rows": rows}
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
-    add_argument(parser)
-    parser.add_argument("--out", default=Path(__file__).parent / "results", type=Path)
-    parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--sections", default="cyclic,wang")
+    add_arguments(parser, threads=1, sections="cyclic,wang")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
-    folder = options.exemplars or default_folder()
-    photos = {path.stem: load(path) for path in sorted(Path(folder).glob("*.png"))}
-    sections = {"cyclic": cyclic_rows, "wang": wang_rows}
-    options.out.mkdir(parents=True, exist_ok=True)
-    file = options.out / "tiles.json"
-    report = json.loads(file.read_text()) if file.exists() else {}
-    report["environment"] = {
-        "torchtex": torchtex.__version__,
-        "torch": torch.__version__,
-        "PyMaxflow": version("PyMaxflow"),
-        "python": platform.python_version(),
-        "cores": os.cpu_count(),
-        "threads": options.threads,
-        "device": "cpu",
-        "commit": commit(),
+    photos = photos_of(options)
+    sections = {
+        "cyclic": lambda: summed(cyclic_rows(photos)),
+        "wang": lambda: summed(wang_rows(photos)),
     }
+    about = {"environment": environment(options.threads, "PyMaxflow")}
+    report = measured(options.out / "tiles.json", about, sections, options.sections)
     for section in options.sections.split(","):
-        rows = sections[section](photos)
-        report[section] = {"summary": summary(rows), "rows": rows}
-        file.write_text(json.dumps(report, indent=1))
         for way, values in report[section]["summary"].items():
             print(section, way, values, flush=True)
 
