@@ -26,6 +26,9 @@ def test_few_states_stay_in_memory() -> None:
     for frame in range(70):
         fluid(frame, 12, 12)
     assert len(fluid._states[(12, 12)]) <= 70 // 16 + 2
+    for frame in (65, 3, 40, 7, 22):
+        fluid(frame, 12, 12)
+    assert len(fluid._states[(12, 12)]) <= 70 // 16 + 2
     for side in range(13, 20):
         fluid(0, side, side)
     assert len(fluid._states) <= 4

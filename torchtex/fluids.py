@@ -220,10 +220,11 @@ class StableFluid:
         state = states[now]
         while now < frame:
             state = self._step(state, now, cells)
-            if now % _KEPT:
-                states.pop(now, None)
             now += 1
             states[now] = state
+            states.pop(now - 1 if (now - 1) % _KEPT else -1, None)
+        for known in [k for k in states if k % _KEPT and k != frame]:
+            del states[known]
         return state
 
     def _step(self, state: Tensor, frame: int, cells: float) -> Tensor:
