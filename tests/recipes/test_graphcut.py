@@ -297,7 +297,7 @@ def test_the_report_is_plain() -> None:
         ({"seed": 2**63}, "seed=9223372036854775808"),
         ({"masks": torch.zeros(24, 24, dtype=torch.bool)}, "mask is empty"),
         ({"masks": torch.ones(9, 24, dtype=torch.bool)}, "mask is 9x24"),
-        ({"masks": [None, None]}, "masks: 2 given for 1"),
+        ({"masks": [None, None]}, "mask: 2 given for 1"),
     ],
 )
 @pytest.mark.usefixtures("unchecked")

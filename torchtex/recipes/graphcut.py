@@ -19,9 +19,17 @@ from torch.nn.functional import avg_pool2d, pad
 from torchtex.cuts.mincut import MinCut, default_solver
 from torchtex.cuts.poisson import Guidance, solve
 from torchtex.cuts.seams import cut_patch, patch_views, present_seams
-from torchtex.image import check_image
 from torchtex.patches import SsdSearch, box_sums, pick_soft, ssd_canvas, ssd_search, summed_area
 from torchtex.quadratic import threads
+from torchtex.recipes.inputs import (
+    Exemplars,
+    Masks,
+    check_not_negative,
+    check_seed,
+    check_size,
+    memory_of,
+    usable_exemplars,
+)
 from torchtex.recipes.montage import Montage, Stage
 from torchtex.sources import copied
 
@@ -202,7 +210,7 @@ class _Canvas:
 
 
 def graphcut(
-    exemplars: Float[Tensor, "c _ _"] | Sequence[Float[Tensor, "c _ _"]],
+    exemplars: Exemplars,
     size: tuple[int, int],
     *,
     placement: Placement | None = None,
@@ -213,7 +221,7 @@ def graphcut(
     scales: Sequence[float] = (1.0,),
     poisson: bool = False,
     boundary: Literal["free", "periodic"] = "free",
-    masks: Bool[Tensor, "_ _"] | Sequence[Bool[Tensor, "_ _"] | None] | None = None,
+    masks: Masks = None,
     solver: MinCut | None = None,
     seed: int = 0,
     on_step: Callable[[Stage], None] | None = None,
@@ -254,9 +262,11 @@ def graphcut(
         torch.Size([3, 32, 40])
     """
     started = time.perf_counter()
-    zs, keep = _checked(exemplars, masks)
+    zs, keep = usable_exemplars(exemplars, masks)
     placement = SubPatch() if placement is None else placement
-    _check_options(size, refine, scales, boundary, seed)
+    check_size(size, memory_of(zs[0], size, images=9, numbers=10))
+    check_seed(seed)
+    _check_options(refine, scales, boundary)
     solver = default_solver() if solver is None else solver
     with threads(1):  # the pieces are small
         pieces = _pieces(zs, keep, turns, mirrors, scales)
@@ -560,15 +570,10 @@ def _fitted(placement: SubPatch, pieces: list[_Piece], size: tuple[int, int]) ->
 def _check_draw(k: float, spread: float) -> None:
     if not 0 < k < float("inf"):
         raise ValueError(f"k={k} must be above 0, and finite")
-    if not 0 <= spread < float("inf"):
-        raise ValueError(f"spread={spread} must be at least 0, and finite")
+    check_not_negative("spread", spread)
 
 
-def _check_options(
-    size: tuple[int, int], refine: int | None, scales: Sequence[float], boundary: str, seed: int
-) -> None:
-    if min(size) < 1:
-        raise ValueError(f"size={size[0]}x{size[1]} must be at least 1x1; give height x width")
+def _check_options(refine: int | None, scales: Sequence[float], boundary: str) -> None:
     if refine is not None and refine < 0:
         raise ValueError(f"refine={refine} must be at least 0")
     if not scales:
@@ -578,38 +583,3 @@ def _check_options(
             raise ValueError(f"scales={scale} must lie in 0.1..10; 1 is the exemplar as it is")
     if boundary not in ("free", "periodic"):
         raise ValueError(f'boundary="{boundary}" must be "free" or "periodic"')
-    if not 0 <= seed < 2**63:
-        raise ValueError(f"seed={seed} must lie in 0..2^63 - 1")
-
-
-def _checked(exemplars: Any, masks: Any) -> tuple[list[Tensor], list[Tensor | None]]:
-    zs = [exemplars] if isinstance(exemplars, Tensor) else list(exemplars)
-    if not zs:
-        raise ValueError("exemplar: none given; give at least one image")
-    if masks is None:
-        keep: list[Tensor | None] = [None] * len(zs)
-    else:
-        keep = [masks] if isinstance(masks, Tensor) else list(masks)
-    if len(keep) != len(zs):
-        raise ValueError(f"masks: {len(keep)} given for {len(zs)} exemplars; give one each")
-    for z, mask in zip(zs, keep, strict=True):
-        if mask is not None and mask.shape != z.shape[1:]:
-            raise ValueError(
-                f"mask is {mask.shape[0]}x{mask.shape[1]} and its exemplar "
-                f"{z.shape[1]}x{z.shape[2]}; give a mask of the size of the exemplar"
-            )
-        if mask is not None and not bool(mask.any()):
-            raise ValueError("mask is empty: no pixel of the exemplar may be used; widen it")
-        check_image(z if mask is None else torch.where(mask, z, 0), "exemplar")
-        if len(z) != len(zs[0]):
-            raise ValueError(
-                f"exemplar: one has {len(zs[0])} channels and another {len(z)}; "
-                "convert them to the same"
-            )
-        if z.dtype not in (torch.float32, torch.float64) or z.dtype != zs[0].dtype:
-            raise TypeError(
-                f"exemplar: {z.dtype} beside {zs[0].dtype}; give all as float32 or all as float64"
-            )
-    # pixels that may not be used may be anything
-    zs = [z if m is None else torch.where(m, z, 0) for z, m in zip(zs, keep, strict=True)]
-    return [z.detach() for z in zs], keep
