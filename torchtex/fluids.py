@@ -221,10 +221,11 @@ class StableFluid:
         while now < frame:
             state = self._step(state, now, cells)
             now += 1
-            states[now] = state
-            states.pop(now - 1 if (now - 1) % _KEPT else -1, None)
-        for known in [k for k in states if k % _KEPT and k != frame]:
+            if now % _KEPT == 0:
+                states[now] = state
+        for known in [known for known in states if known % _KEPT]:
             del states[known]
+        states[frame] = state
         return state
 
     def _step(self, state: Tensor, frame: int, cells: float) -> Tensor:
