@@ -5,6 +5,7 @@ torchtex is imported inside functions: shape checks begin after this file is rea
 
 import os
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 # read when torch is loaded: idle threads sleep, so two threads are quick even on busy cores
@@ -94,6 +95,18 @@ def run(capsys: pytest.CaptureFixture[str]) -> Iterator[Run]:
 
     yield call
     torch.set_num_threads(threads)
+
+
+def refused(run: Run, folder: Path, words: str, *arguments: object) -> None:
+    """Asserts that a command fails with one sentence that holds the words, and writes nothing."""
+    before = {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
+    done = run(*arguments)
+    assert done.code == 2, done
+    assert done.out == ""
+    assert done.err.startswith("torchtex: ")
+    assert len(done.err.splitlines()) == 1, done.err
+    assert words.lower() in done.err.lower()
+    assert {path.name: path.stat().st_mtime_ns for path in folder.iterdir()} == before
 
 
 def pixels(path: str) -> Tensor:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchtex.cuts.poisson import Boundary, gradients, solve
 from torchtex.cuts.poisson import mixed as mixed_gradients
-from torchtex.image import check_image
+from torchtex.recipes.inputs import check_pair
 
 
 @dataclass(frozen=True)
@@ -124,15 +124,7 @@ def _overlap(start: int, length: int, room: int) -> tuple[slice, slice]:
 
 
 def _check(base: Tensor, source: Tensor, mask: Tensor) -> None:
-    check_image(base, "base")
-    check_image(source, "source")
-    if len(source) != len(base):
-        raise ValueError(
-            f"source has {len(source)} channels and base {len(base)}; "
-            "give both as grey (1) or both as RGB (3)"
-        )
-    if source.dtype != base.dtype:
-        raise ValueError(f"source is {source.dtype} and base {base.dtype}; convert one of them")
+    check_pair(base, source, "source")
     if mask.shape != source.shape[1:]:
         raise ValueError(
             f"mask has shape {tuple(mask.shape)} and source {tuple(source.shape[1:])}; "

@@ -66,6 +66,29 @@ def check_exemplars(zs: Sequence[Tensor]) -> None:
             )
 
 
+def check_pair(base: Tensor, other: Tensor, name: str) -> None:
+    """Refuses two pictures that cannot be put together.
+
+    Args:
+        name: what an error calls the other one.
+
+    Raises:
+        ValueError: one is no image, or they differ in channels or in their kind of number.
+
+    Example:
+        >>> check_pair(torch.rand(3, 4, 4), torch.rand(3, 8, 9), "source")
+    """
+    check_image(base, "base")
+    check_image(other, name)
+    if len(other) != len(base):
+        raise ValueError(
+            f"{name} has {len(other)} channels and base {len(base)}; "
+            "give both as grey (1) or both as RGB (3)"
+        )
+    if other.dtype != base.dtype:
+        raise ValueError(f"{name} is {other.dtype} and base {base.dtype}; convert one of them")
+
+
 def matching_masks(masks: Masks, zs: Sequence[Tensor]) -> list[Tensor | None]:
     """A mask, or None, for every exemplar.
 

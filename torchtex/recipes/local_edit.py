@@ -29,8 +29,8 @@ from torch import Tensor
 
 from torchtex.cuts.mincut import MinCut, default_solver
 from torchtex.cuts.poisson import Guidance, solve
-from torchtex.image import check_image
 from torchtex.quadratic import threads
+from torchtex.recipes.inputs import check_pair
 from torchtex.recipes.montage import Montage, Stage
 from torchtex.recipes.strokes import Placed, Stroke, distance, place
 from torchtex.sources import copied
@@ -174,15 +174,7 @@ def edit(
 
 
 def _check(base: Tensor, source: Tensor, usable: Tensor | None, strokes: Sequence[Stroke]) -> None:
-    check_image(base, "base")
-    check_image(source, "reference")
-    if len(source) != len(base):
-        raise ValueError(
-            f"reference has {len(source)} channels and base {len(base)}; "
-            "give both as grey (1) or both as RGB (3)"
-        )
-    if source.dtype != base.dtype:
-        raise ValueError(f"reference is {source.dtype} and base {base.dtype}; convert one of them")
+    check_pair(base, source, "reference")
     if not len(strokes):
         raise ValueError("strokes is empty; give at least one")
     size = tuple(source.shape[1:])
