@@ -1,8 +1,9 @@
 """The label field: where every window of a texture came from, and how to render from it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -93,16 +94,8 @@ class LabelField:
         Raises:
             ValueError: the file cannot be written.
         """
-        grid = self.grid
-        numbers = [grid.height, grid.width, grid.size, grid.stride, int(grid.periodic)]
         with atomic_write(path) as temporary, open(temporary, "wb") as file:
-            np.savez_compressed(
-                file,
-                grid=np.array(numbers),
-                positions=self.positions.cpu().numpy().astype(np.int32),
-                weights=self.weights.cpu().numpy(),
-                shapes=np.array(self.shapes),
-            )
+            np.savez_compressed(file, **label_arrays(self))
 
     @staticmethod
     def load(path: str | Path) -> "LabelField":
@@ -113,22 +106,48 @@ class LabelField:
         """
         try:
             with open(path, "rb") as raw, np.load(raw, allow_pickle=False) as file:
-                height, width, size, stride, periodic = (int(v) for v in file["grid"])
-                grid = Grid(height, width, size, stride, bool(periodic))
-                shapes = tuple((int(h), int(w)) for h, w in file["shapes"])
-                positions = torch.from_numpy(file["positions"].astype(np.int64))
-                weights = torch.from_numpy(file["weights"])
-            if positions.shape != (len(grid), 3) or weights.shape != (len(grid),):
-                raise ValueError("its labels do not fit its grid")
-            which = positions[:, 0]
-            if int(which.min()) < 0 or int(which.max()) >= len(shapes):
-                raise ValueError("it names an exemplar that it does not have")
-            room = torch.tensor(shapes)[which] - size
-            if bool((positions[:, 1:] < 0).any()) or bool((positions[:, 1:] > room).any()):
-                raise ValueError("its labels leave the exemplar")
+                return label_field(file)
         except UNREADABLE as error:
             raise unreadable(path, error) from None
-        return LabelField(grid, positions, weights, shapes)
+
+
+def label_arrays(field: LabelField) -> dict[str, Any]:
+    """A label field as named numpy arrays, for a file.
+
+    Example:
+        >>> field = LabelField(Grid(8, 8, 8, 8), torch.zeros(1, 3).long(), torch.ones(1), ((9, 9),))
+        >>> label_field(label_arrays(field)).shapes
+        ((9, 9),)
+    """
+    grid = field.grid
+    return {
+        "grid": np.array([grid.height, grid.width, grid.size, grid.stride, int(grid.periodic)]),
+        "positions": field.positions.cpu().numpy().astype(np.int32),
+        "weights": field.weights.cpu().numpy(),
+        "shapes": np.array(field.shapes),
+    }
+
+
+def label_field(arrays: Mapping[str, Any]) -> LabelField:
+    """The label field that `label_arrays` took apart.
+
+    Raises:
+        ValueError, KeyError: the arrays are not those of a label field.
+    """
+    height, width, size, stride, periodic = (int(v) for v in arrays["grid"])
+    grid = Grid(height, width, size, stride, bool(periodic))
+    shapes = tuple((int(h), int(w)) for h, w in arrays["shapes"])
+    positions = torch.from_numpy(arrays["positions"].astype(np.int64))
+    weights = torch.from_numpy(arrays["weights"])
+    if positions.shape != (len(grid), 3) or weights.shape != (len(grid),):
+        raise ValueError("its labels do not fit its grid")
+    which = positions[:, 0]
+    if int(which.min()) < 0 or int(which.max()) >= len(shapes):
+        raise ValueError("it names an exemplar that it does not have")
+    room = torch.tensor(shapes)[which] - size
+    if bool((positions[:, 1:] < 0).any()) or bool((positions[:, 1:] > room).any()):
+        raise ValueError("its labels leave the exemplar")
+    return LabelField(grid, positions, weights, shapes)
 
 
 def load_field(path: str | Path) -> LabelField | SourceField:

@@ -13,8 +13,7 @@ from torch import Tensor
 
 from torchtex import image as images
 from torchtex.em import HalfStep
-from torchtex.labels import LabelField
-from torchtex.neighborhoods import Grid
+from torchtex.labels import LabelField, label_arrays, label_field
 from torchtex.schedule import Level
 from torchtex.sources import UNREADABLE
 
@@ -240,17 +239,13 @@ class Checkpoint:
         arrays: dict[str, Any] = {
             f"texture{n}": trace.snapshot.cpu().numpy() for n, trace in enumerate(self.traces)
         }
-        grid = asdict(self.field.grid)
         with images.atomic_write(path) as temporary, open(temporary, "wb") as file:
             np.savez_compressed(
                 file,
                 head=np.array(json.dumps(head)),
-                grid=np.array(json.dumps(grid)),
-                shapes=np.array(self.field.shapes),
                 randomness=self.randomness.numpy(),
                 labels=self.labels.cpu().numpy(),
-                positions=self.field.positions.cpu().numpy(),
-                weights=self.field.weights.cpu().numpy(),
+                **label_arrays(self.field),
                 **arrays,
             )
 
@@ -274,12 +269,7 @@ class Checkpoint:
                     )
                     for number, one in enumerate(head["levels"])
                 )
-                field = LabelField(
-                    Grid(**json.loads(str(file["grid"]))),
-                    torch.from_numpy(file["positions"]),
-                    torch.from_numpy(file["weights"]),
-                    tuple((int(h), int(w)) for h, w in file["shapes"]),
-                )
+                field = label_field(file)
                 randomness = torch.from_numpy(file["randomness"])
                 labels = torch.from_numpy(file["labels"])
             return Checkpoint(head["seed"], head["settings"], randomness, traces, labels, field)

@@ -8,7 +8,9 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int
@@ -21,9 +23,11 @@ from torchtex.energy import Energy, Objective
 from torchtex.estep import ClosedForm
 from torchtex.flow_fields import Flow, check_fields
 from torchtex.flow_warps import invert, warp
-from torchtex.labels import LabelField
+from torchtex.image import atomic_write
+from torchtex.labels import LabelField, label_arrays, label_field
 from torchtex.model import LabelSpace, Search, TextureModel, fast_search, texture_model
 from torchtex.neighborhoods import Grid
+from torchtex.sources import UNREADABLE
 from torchtex.synthesize import synthesize
 
 VISIBLE = 0.9
@@ -100,6 +104,58 @@ class Frame:
     confidence: Float[Tensor, "h w"]
     warp_error: float
     seconds: float
+
+
+def save_frame(path: str | Path, frame: Frame, about: str = "") -> None:
+    """Writes a frame as an .npz file that `animate(resume=...)` can go on from.
+
+    Args:
+        about: kept with it, for the caller to recognise.
+
+    Example:
+        >>> import tempfile
+        >>> from torchtex.flow_fields import Uniform
+        >>> frame = next(animate(torch.rand(1, 32, 32), (32, 32), Uniform((0.0, 1.0)), 2))
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     save_frame(f"{folder}/f.npz", frame)
+        ...     load_frame(f"{folder}/f.npz")[0].number
+        0
+    """
+    arrays = label_arrays(frame.field)
+    with atomic_write(path) as temporary, open(temporary, "wb") as file:
+        np.savez(
+            file,
+            number=np.array(frame.number),
+            texture=frame.texture.cpu().numpy(),
+            confidence=frame.confidence.cpu().numpy(),
+            numbers=np.array([frame.warp_error, frame.seconds]),
+            about=np.array(about),
+            **arrays,
+        )
+
+
+def load_frame(path: str | Path) -> tuple[Frame, str]:
+    """Reads what `save_frame` wrote: the frame, and what was kept with it.
+
+    Raises:
+        ValueError: no such file, or another kind of file.
+    """
+    try:
+        with open(path, "rb") as raw, np.load(raw, allow_pickle=False) as file:
+            error, seconds = (float(number) for number in file["numbers"])
+            frame = Frame(
+                int(file["number"]),
+                torch.from_numpy(file["texture"]),
+                label_field(file),
+                torch.from_numpy(file["confidence"]),
+                error,
+                seconds,
+            )
+            return frame, str(file["about"])
+    except UNREADABLE as error_:
+        raise ValueError(
+            f"state={path} is not the state of an animation ({error_}); delete it"
+        ) from None
 
 
 def animate(
@@ -249,18 +305,17 @@ def _next(
     backward, confidence = invert(flow, periodic=periodic)
     backward, confidence = backward.to(last.texture), confidence.to(last.texture)
     warped = warp(last.texture, backward, periodic=periodic).clamp(0, 1)
-    x = crisp = _sharpened(warped, motion.sharpen, periodic)
-    field, estep = last.field, ClosedForm()
+    wished = _sharpened(warped, motion.sharpen, periodic)
+    x, field, estep = wished, last.field, ClosedForm()
     for model, steps in zip(models, motion.steps_of(models), strict=True):
-        if field is not last.field:
-            x = composed(field, x, zs)  # sharp again, as between the levels of a synthesis
         labels = moved_labels(model, field, backward if field is last.field else None)
+        # labels are carried, not pixels: those of the exemplar are sharp, moved ones are not
+        x = composed(_placed(model, labels), x, zs)
         pull = motion.pull * float(_weight(model, labels, x))
-        controls: list[tuple[float, Energy]] = [(pull, SoftConstraint(crisp, confidence))]
+        controls: list[tuple[float, Energy]] = [(pull, SoftConstraint(wished, confidence))]
         if home is not None:
             controls += home.controls(number, pull)
         for _ in range(steps):
-            # x is what the constraint asks for, or near it, so labels need not be asked twice
             labels = model.match(x, labels)
             x = estep(Objective(((1.0, model.energy(labels)), *controls)), x)
         field = weighed_field(model, labels, x, zs)
@@ -274,6 +329,13 @@ def _sharpened(image: Tensor, share: float, periodic: bool) -> Tensor:
     padded = F.pad(image[None], (1, 1, 1, 1), mode="circular" if periodic else "replicate")
     blurred = gaussian_blur2d(padded, (3, 3), (0.8, 0.8))[0, :, 1:-1, 1:-1]
     return (image + share * (image - blurred)).clamp(0, 1)
+
+
+def _placed(model: TextureModel, labels: Tensor) -> LabelField:
+    """Labels with equal weights: the window whose centre is nearest decides a pixel."""
+    shapes = tuple((int(t.shape[0]), int(t.shape[1])) for t in model.space.tables)
+    weights = torch.ones(len(labels)).to(model.keys)
+    return LabelField(model.grid, model.space.positions[labels], weights, shapes)
 
 
 def _weight(model: TextureModel, labels: Tensor, x: Tensor) -> Tensor:

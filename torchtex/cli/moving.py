@@ -1,0 +1,236 @@
+"""`torchtex animate`: textures that move along a flow."""
+
+import contextlib
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from torchtex.cli.base import Interrupts, app, progress_bar
+from torchtex.cli.files import check_masks, load_exemplars, parse_size, read_files, sha256
+from torchtex.cli.options import Exemplars, KeepPartial, Quiet, Report, Seed, Size, Threads
+from torchtex.cli.recipe import kept_options
+
+if TYPE_CHECKING:
+    import torch
+
+    from torchtex.recipes.animate import Frame
+
+STATE = "state.npz"
+
+
+@app.command()
+def animate(
+    context: typer.Context,
+    exemplar: Exemplars,
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o", "--output", help=".mp4, .webm, .mov, .mkv, .gif, .webp, .apng, or a folder."
+        ),
+    ],
+    size: Size,
+    flow: Annotated[
+        str,
+        typer.Option(
+            help="Where pixels go: uniform:0,2 sink:1.5 rotation:2 pair:3 gyre fluid "
+            "strokes:FILE.json ..., sums with +, or a .npy, .npz or .flo file."
+        ),
+    ],
+    frames: Annotated[int, typer.Option(help="How many frames.")],
+    flow_scale: Annotated[float, typer.Option(help="Makes the flow so much faster.")] = 1.0,
+    pull: Annotated[float, typer.Option(help="Strength of the flow against the texture.")] = 0.5,
+    sharpen: Annotated[float, typer.Option(help="Detail given back to moved frames, 0..1.")] = 0.2,
+    loop: Annotated[
+        int, typer.Option(help="Return to the first frame over so many frames at the end.")
+    ] = 0,
+    boundary: Annotated[str, typer.Option(help="free, or periodic for frames that tile.")] = "free",
+    rate: Annotated[float, typer.Option(help="Frames per second.")] = 25.0,
+    mask: Annotated[
+        list[str] | None, typer.Option(help="White where the exemplar may be used; one each.")
+    ] = None,
+    compare: Annotated[
+        bool,
+        typer.Option(
+            "--compare", help="Beside it a plain warp, and a warp that is regenerated, in one film."
+        ),
+    ] = False,
+    keep: Annotated[
+        Path | None,
+        typer.Option(help="Folder for the frames, and to go on from after an interrupt."),
+    ] = None,
+    flow_picture: Annotated[
+        Path | None, typer.Option(help="Picture of the first flow field to write.")
+    ] = None,
+    seed: Seed = 0,
+    threads: Threads = None,
+    report: Report = None,
+    keep_partial: KeepPartial = False,
+    quiet: Quiet = False,
+) -> None:
+    """Move a texture along a flow, frame by frame; it stays a texture.
+
+    A folder as output, or --keep, goes on where an interrupted run of the same options stopped.
+    """
+    import torch
+
+    import torchtex
+    from torchtex import image as images
+    from torchtex.flow_fields import Scaled
+    from torchtex.flow_words import parse_flow
+    from torchtex.recipes.animate import Motion
+    from torchtex.recipes.animate import animate as animated
+    from torchtex.video import check_video, is_folder, write_video
+
+    height_width = parse_size(size)
+    check_masks(exemplar, mask or [])
+    if boundary not in ("free", "periodic"):
+        raise ValueError(f"boundary={boundary!r} must be free or periodic")
+    motion = Motion(pull=pull, sharpen=sharpen)
+    check_video(output)
+    if report is not None:
+        images.check_writable(report, suffixes=(".json",), name="report")
+    if flow_picture is not None:
+        images.check_writable(flow_picture, suffixes=images.SUFFIXES, name="flow-picture")
+    field = parse_flow(flow)
+    moving = field if flow_scale == 1 else Scaled(field, flow_scale)
+    folder = output if is_folder(output) else keep
+    if folder is not None and folder.exists() and not folder.is_dir():
+        raise ValueError(f"keep={str(folder)!r} is a file; name a folder")
+    if threads is not None:
+        torch.set_num_threads(threads)
+    read = read_files(exemplar, mask or [])
+    about: dict[str, Any] = {
+        "version": torchtex.__version__,
+        "command": "animate",
+        "options": _deciding(context),
+        "files": {name: sha256(path) for name, path in read.items()},
+    }
+    zs, masks = load_exemplars(exemplar, mask or [])
+    store = None if folder is None else _Folder(folder, about)
+    resume = None if store is None else store.resumed()
+    made = animated(
+        zs, height_width, moving, frames, masks=masks, motion=motion, boundary=boundary, loop=loop,
+        seed=seed, resume=resume,
+    )  # fmt: skip
+    if flow_picture is not None:
+        from torchtex.flow_pictures import flow_picture as drawn
+
+        first = moving(0, *height_width)
+        images.save(flow_picture, drawn(first, periodic=boundary == "periodic"))
+    lines: list[dict[str, float]] = []
+    with progress_bar(quiet) as watch:
+
+        def stream() -> "Iterator[torch.Tensor]":
+            if store is not None and resume is not None:
+                yield from store.pictures(resume.number + 1)
+            with (
+                contextlib.suppress(KeyboardInterrupt) if keep_partial else contextlib.nullcontext()
+            ):
+                for frame in made:
+                    watch(_Stage(frame, frames))
+                    lines.append(
+                        {
+                            "frame": frame.number,
+                            "warp_error": frame.warp_error,
+                            "seconds": frame.seconds,
+                        }
+                    )
+                    if store is not None:
+                        store.keep(frame)
+                    yield frame.texture
+
+        shown = stream()
+        if compare:
+            shown = _beside(shown, moving, frames, boundary == "periodic")
+        if is_folder(output):
+            count = sum(1 for _ in shown)  # the store has written them
+        else:
+            count = write_video(output, shown, rate=rate)
+    if report is not None:
+        with images.atomic_write(report, name="report") as temporary:
+            temporary.write_text(json.dumps(about | {"frames": lines}, indent=2) + "\n")
+    if store is not None and count == frames:
+        store.done()
+    if Interrupts.seen:
+        print(output)
+        raise KeyboardInterrupt
+    print(output)
+
+
+class _Stage:
+    """What the progress bar is told of a frame."""
+
+    def __init__(self, frame: "Frame", frames: int) -> None:
+        self.done = (frame.number + 1) / frames
+        self.note = "frames"
+        self.texture = frame.texture
+        self.detail = f"{frame.number + 1} of {frames}, {frame.seconds:.1f} s a frame"
+
+
+def _deciding(context: typer.Context) -> dict[str, Any]:
+    """The options that decide the frames: not where they go, nor how many are wanted."""
+    aside = ("keep", "rate", "flow_picture", "compare")
+    return {name: value for name, value in kept_options(context).items() if name not in aside}
+
+
+def _beside(
+    frames: "Iterator[torch.Tensor]", flow: Any, count: int, periodic: bool
+) -> "Iterator[torch.Tensor]":
+    """Ours, a plain warp and a regenerated one, side by side."""
+    import torch
+
+    from torchtex.recipes.animate import regenerated_frames, warped_frames
+
+    first = next(frames)
+    plain = warped_frames(first, flow, count, periodic=periodic)
+    anew = regenerated_frames(first, flow, count, periodic=periodic)
+    yield torch.cat([first, next(plain), next(anew)], 2)
+    for ours, one, two in zip(frames, plain, anew, strict=False):
+        yield torch.cat([ours, one, two], 2)
+
+
+class _Folder:
+    """A folder of frames, and the state that a run goes on from."""
+
+    def __init__(self, folder: Path, about: dict[str, Any]) -> None:
+        self.folder, self.about = folder, json.dumps(about, sort_keys=True)
+        folder.mkdir(exist_ok=True)
+
+    def resumed(self) -> "Frame | None":
+        """The last frame that is there, if it is of the same run."""
+        from torchtex.recipes.animate import load_frame
+
+        path = self.folder / STATE
+        if not path.exists():
+            return None
+        frame, about = load_frame(path)
+        if about != self.about:
+            raise ValueError(
+                f"output={str(self.folder)!r} holds frames of other options; empty it, or name "
+                "another folder"
+            )
+        return frame
+
+    def pictures(self, count: int) -> "Iterator[torch.Tensor]":
+        """The frames before the one to go on from, read back."""
+        from torchtex import image as images
+        from torchtex.video import frame_name
+
+        for number in range(count):
+            yield images.load(self.folder / frame_name(number), name="frame").image
+
+    def keep(self, frame: "Frame") -> None:
+        """Writes a frame, then the state: a state never names a frame that is not there."""
+        from torchtex import image as images
+        from torchtex.recipes.animate import save_frame
+        from torchtex.video import frame_name
+
+        images.save(self.folder / frame_name(frame.number), frame.texture)
+        save_frame(self.folder / STATE, frame, self.about)
+
+    def done(self) -> None:
+        """Nothing is left to go on from."""
+        (self.folder / STATE).unlink(missing_ok=True)

@@ -1,0 +1,194 @@
+"""Writing frames as they come: films, animated pictures, folders of pictures."""
+
+import itertools
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchtex.image import atomic_write, check_writable, save
+
+FILMS = (".mp4", ".webm", ".mov", ".mkv")
+MOVING = (".gif", ".webp", ".apng", ".png")
+CODECS = {".mp4": "libx264", ".mov": "libx264", ".mkv": "libx264", ".webm": "libvpx-vp9"}
+
+
+def check_video(path: str | Path, *, name: str = "output") -> None:
+    """Refuses, before any work, a film that cannot be written.
+
+    Args:
+        path: a film (`FILMS`), an animated picture (`MOVING`), or a folder: a name without an
+            ending, made if it is not there.
+        name: what an error calls `path`.
+
+    Raises:
+        ValueError: another ending, a folder that is missing or not writable.
+        ImportError: a film, and imageio-ffmpeg is missing.
+
+    Example:
+        >>> check_video("texture.avi")
+        Traceback (most recent call last):
+        ValueError: output='texture.avi' must end in .mp4, .webm, .mov, .mkv, .gif, .webp, ...
+    """
+    path = Path(path)
+    if is_folder(path):
+        if path.exists() and not path.is_dir():
+            raise ValueError(
+                f"{name}={str(path)!r} is a file; name a folder, or an ending like .mp4"
+            )
+        if not path.exists() and not path.resolve().parent.is_dir():
+            raise ValueError(f"{name}={str(path)!r}: there is no folder to make it in")
+        return
+    suffix = path.suffix.lower()
+    if suffix not in (*FILMS, *MOVING):
+        raise ValueError(
+            f"{name}={str(path)!r} must end in {', '.join((*FILMS, *MOVING))}, or be a folder"
+        )
+    check_writable(path, name=name)
+    if suffix in FILMS:
+        _ffmpeg(name)
+
+
+def is_folder(path: Path) -> bool:
+    """True for a path that names a folder of frames: no ending, or a folder that is there.
+
+    Example:
+        >>> is_folder(Path("frames")), is_folder(Path("film.mp4"))
+        (True, False)
+    """
+    return not path.suffix or path.is_dir()
+
+
+def frame_name(number: int) -> str:
+    """File of a frame in a folder of frames.
+
+    Example:
+        >>> frame_name(7)
+        'frame_00007.png'
+    """
+    return f"frame_{number:05}.png"
+
+
+def write_video(
+    path: str | Path,
+    frames: Iterable[Float[Tensor, "c h w"]],
+    *,
+    rate: float = 25.0,
+    name: str = "output",
+) -> int:
+    """Writes frames one by one as they come, and returns how many.
+
+    A film holds one frame at a time in memory, a folder too; a GIF keeps what changes between
+    frames until it is closed, an APNG all frames. A file appears under its name once it is whole.
+
+    Args:
+        path: see `check_video`.
+        frames: (c, h, w) in [0, 1], grey or RGB, all of one size.
+        rate: frames per second.
+
+    Raises:
+        ValueError: no frames, a rate that is not above 0, or what `check_video` refuses.
+
+    Example:
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     write_video(f"{folder}/x.gif", torch.rand(3, 3, 16, 16))
+        3
+    """
+    path = Path(path)
+    check_video(path, name=name)
+    if not 0 < rate <= 1000:
+        raise ValueError(f"rate={rate} must be above 0 and at most 1000 frames per second")
+    stream = iter(frames)
+    first = next(stream, None)
+    if first is None:
+        raise ValueError("frames: none given; make at least one")
+    whole = itertools.chain([first], stream)
+    if is_folder(path):
+        path.mkdir(exist_ok=True)
+        count = 0
+        for frame in whole:
+            save(path / frame_name(count), frame, name=name)
+            count += 1
+        return count
+    with atomic_write(path, name=name) as temporary:
+        if path.suffix.lower() in FILMS:
+            return _film(temporary, whole, rate, name)
+        return _moving(temporary, whole, rate)
+
+
+def _pixels(frame: Tensor) -> Any:
+    """8-bit (h, w, 3)."""
+    rgb = frame if len(frame) == 3 else frame[:1].expand(3, -1, -1)
+    scaled = (rgb.detach().clamp(0, 1) * 255).round().to(torch.uint8)
+    return np.ascontiguousarray(scaled.permute(1, 2, 0).cpu().numpy())
+
+
+def _film(path: Path, frames: Iterator[Tensor], rate: float, name: str) -> int:
+    ffmpeg = _ffmpeg(name)
+    first = next(frames)
+    _, h, w = first.shape
+    even = (h + h % 2, w + w % 2)  # what the codecs ask for
+    writer = ffmpeg.write_frames(
+        str(path),
+        (even[1], even[0]),
+        fps=rate,
+        codec=CODECS[path.suffix.lower()],
+        quality=None,
+        macro_block_size=1,
+        ffmpeg_log_level="error",
+        output_params=["-crf", "16", "-pix_fmt", "yuv420p"],
+    )
+    writer.send(None)
+    count = 0
+    try:
+        for frame in itertools.chain([first], frames):
+            pixels = _pixels(frame)
+            pad = ((0, even[0] - h), (0, even[1] - w), (0, 0))
+            writer.send(np.ascontiguousarray(np.pad(pixels, pad, mode="edge")))
+            count += 1
+    finally:
+        writer.close()
+    return count
+
+
+def _moving(path: Path, frames: Iterator[Tensor], rate: float) -> int:
+    from PIL import Image
+
+    count = 0
+
+    def pictures() -> Iterator[Any]:
+        nonlocal count
+        for frame in frames:
+            count += 1
+            yield Image.fromarray(_pixels(frame))
+
+    stream = pictures()
+    first = next(stream)
+    kind = {".gif": "GIF", ".webp": "WEBP", ".apng": "PNG", ".png": "PNG"}[path.suffix.lower()]
+    options: dict[str, Any] = {"quality": 90} if kind == "WEBP" else {}
+    first.save(
+        path,
+        format=kind,
+        save_all=True,
+        append_images=list(stream) if kind == "PNG" else stream,  # an APNG is read twice
+        duration=round(1000 / rate),
+        loop=0,
+        **options,
+    )
+    return count
+
+
+def _ffmpeg(name: str) -> Any:
+    try:
+        import imageio_ffmpeg
+    except ImportError:
+        raise ImportError(
+            f"{name}: films need imageio-ffmpeg; pip install 'torchtex[video]', or write a .gif, "
+            ".webp or .apng, or a folder of frames"
+        ) from None
+    return imageio_ffmpeg
