@@ -30,10 +30,20 @@ MODULES = sorted(
 # a module may import only those of rows above its own; "cli" stands for all modules of the package
 FLOORS = (
     ("image", "wavelets", "neighborhoods", "quadratic"),
-    ("data", "features", "matching", "sources", "cuts.laplace"),
-    ("energy", "metrics", "patches", "cuts.mincut", "cuts.poisson"),
-    ("controls", "estep", "cuts.seams", "cuts.expansion", "qtp"),
-    ("model", "cuts.paths"),
+    ("data", "features", "matching", "sources", "cuts.laplace", "flow.fields", "video"),
+    (
+        "energy",
+        "metrics",
+        "patches",
+        "cuts.mincut",
+        "cuts.poisson",
+        "flow.warps",
+        "flow.strokes",
+        "flow.files",
+        "flow.formulas",
+    ),
+    ("controls", "estep", "cuts.seams", "cuts.expansion", "qtp", "flow.fluids", "flow.pictures"),
+    ("model", "cuts.paths", "flow.words"),
     ("labels", "em"),
     (
         "schedule",

@@ -78,8 +78,8 @@ def animate(
 
     import torchtex
     from torchtex import image as images
-    from torchtex.flow_fields import Scaled
-    from torchtex.flow_words import parse_flow
+    from torchtex.flow.fields import Scaled
+    from torchtex.flow.words import parse_flow
     from torchtex.recipes.animate import Motion
     from torchtex.recipes.animate import animate as animated
     from torchtex.video import check_video, is_folder, write_video
@@ -116,7 +116,7 @@ def animate(
         seed=seed, resume=resume,
     )  # fmt: skip
     if flow_picture is not None:
-        from torchtex.flow_pictures import flow_picture as drawn
+        from torchtex.flow.pictures import flow_picture as drawn
 
         first = moving(0, *height_width)
         images.save(flow_picture, drawn(first, periodic=boundary == "periodic"))

@@ -21,8 +21,8 @@ from torchtex.carry import composed, weighed_field
 from torchtex.controls import SoftConstraint
 from torchtex.energy import Energy, Objective
 from torchtex.estep import ClosedForm
-from torchtex.flow_fields import Flow, check_fields
-from torchtex.flow_warps import invert, warp
+from torchtex.flow.fields import Flow, check_fields
+from torchtex.flow.warps import invert, warp
 from torchtex.image import atomic_write
 from torchtex.labels import LabelField, label_arrays, label_field
 from torchtex.model import LabelSpace, Search, TextureModel, fast_search, texture_model
@@ -114,7 +114,7 @@ def save_frame(path: str | Path, frame: Frame, about: str = "") -> None:
 
     Example:
         >>> import tempfile
-        >>> from torchtex.flow_fields import Uniform
+        >>> from torchtex.flow.fields import Uniform
         >>> frame = next(animate(torch.rand(1, 32, 32), (32, 32), Uniform((0.0, 1.0)), 2))
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     save_frame(f"{folder}/f.npz", frame)
@@ -185,7 +185,7 @@ def animate(
     Args:
         exemplars: one image or several, as in `synthesize`.
         size: height and width of a frame.
-        flow: where pixels go; see `flow_fields.Flow`.
+        flow: where pixels go; see `flow.fields.Flow`.
         frames: how many.
         masks: True where an exemplar may be used.
         motion: how a frame follows from the one before.
@@ -203,7 +203,7 @@ def animate(
     Source: Kwatra et al. 2005, section 4.1.
 
     Example:
-        >>> from torchtex.flow_fields import Uniform
+        >>> from torchtex.flow.fields import Uniform
         >>> moving = animate(torch.rand(1, 32, 32), (32, 40), Uniform((0.0, 2.0)), 3)
         >>> [frame.number for frame in moving]
         [0, 1, 2]
@@ -458,7 +458,7 @@ def check_flow(flow: Flow, size: tuple[int, int]) -> None:
         ValueError: NaN, another rank or size, or a displacement larger than the frame.
 
     Example:
-        >>> from torchtex.flow_fields import Uniform
+        >>> from torchtex.flow.fields import Uniform
         >>> check_flow(Uniform((0.0, 1.0)), (8, 8))
     """
     _field_at(flow, 0, size)
@@ -485,7 +485,7 @@ def warped_frames(
     Source: Kwatra et al. 2005, figure 7.
 
     Example:
-        >>> from torchtex.flow_fields import Uniform
+        >>> from torchtex.flow.fields import Uniform
         >>> len(list(warped_frames(torch.rand(1, 8, 8), Uniform((0.0, 1.0)), 3)))
         3
     """
@@ -512,7 +512,7 @@ def regenerated_frames(
     Source: Neyret 2003, Advected textures; the rival of Kwatra et al. 2005, figure 7.
 
     Example:
-        >>> from torchtex.flow_fields import Uniform
+        >>> from torchtex.flow.fields import Uniform
         >>> len(list(regenerated_frames(torch.rand(1, 8, 8), Uniform((0.0, 1.0)), 5)))
         5
     """

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchtex.flow_fields import check_numbers, check_positive, from_center
+from torchtex.flow.fields import check_numbers, check_positive, from_center
 from torchtex.quadratic import threads
 
 _SPACING = 0.05  # of the points on a stroke, a share of the shorter side

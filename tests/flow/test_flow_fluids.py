@@ -5,9 +5,9 @@ import doctest
 import pytest
 import torch
 
-from torchtex import fluids
-from torchtex.flow_warps import divergence
-from torchtex.fluids import DoubleGyre, StableFluid, Vortices, vortex_pair
+from torchtex.flow import fluids
+from torchtex.flow.fluids import DoubleGyre, StableFluid, Vortices, vortex_pair
+from torchtex.flow.warps import divergence
 
 
 @pytest.mark.parametrize("periodic", [False, True])

@@ -6,8 +6,8 @@ import math
 import pytest
 import torch
 
-from torchtex import flow_strokes
-from torchtex.flow_strokes import Strokes
+from torchtex.flow import strokes
+from torchtex.flow.strokes import Strokes
 
 ARROW = ((0.5, 0.2), (0.5, 0.8))
 
@@ -62,4 +62,4 @@ def test_wrong_strokes_are_refused_in_a_sentence() -> None:
 
 
 def test_examples() -> None:
-    assert doctest.testmod(flow_strokes, extraglobs={"torch": torch}).failed == 0
+    assert doctest.testmod(strokes, extraglobs={"torch": torch}).failed == 0

@@ -7,11 +7,11 @@ import pytest
 import torch
 from conftest import noise, stripes
 
-from torchtex import flow_pictures
-from torchtex.flow_fields import Uniform
-from torchtex.flow_pictures import direction_colors, draw_arrows, flow_picture, lic
-from torchtex.flows import Rotation, Saddle
-from torchtex.fluids import vortex_pair
+from torchtex.flow import pictures
+from torchtex.flow.fields import Uniform
+from torchtex.flow.fluids import vortex_pair
+from torchtex.flow.formulas import Rotation, Saddle
+from torchtex.flow.pictures import direction_colors, draw_arrows, flow_picture, lic
 from torchtex.quadratic import threads
 
 KINDS: tuple[Literal["lic", "arrows", "both"], ...] = ("lic", "arrows", "both")
@@ -95,4 +95,4 @@ def test_wrong_arguments_are_refused_in_a_sentence() -> None:
 
 
 def test_examples() -> None:
-    assert doctest.testmod(flow_pictures, extraglobs={"torch": torch}).failed == 0
+    assert doctest.testmod(pictures, extraglobs={"torch": torch}).failed == 0

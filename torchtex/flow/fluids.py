@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchtex.flow_fields import (
+from torchtex.flow.fields import (
     MIDDLE,
     check_frame,
     check_numbers,
@@ -15,7 +15,7 @@ from torchtex.flow_fields import (
     from_center,
     traced,
 )
-from torchtex.flow_warps import sample
+from torchtex.flow.warps import sample
 from torchtex.quadratic import threads
 
 _KEPT = 16  # one state in so many stays in memory, so that going back is cheap too

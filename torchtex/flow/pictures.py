@@ -7,8 +7,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchtex.flow_fields import check_fields, from_center
-from torchtex.flow_warps import sample
+from torchtex.flow.fields import check_fields, from_center
+from torchtex.flow.warps import sample
 from torchtex.image import check_image, resize
 
 

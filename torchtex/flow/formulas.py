@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchtex.flow_fields import MIDDLE, check_numbers, check_positive, from_center, traced
+from torchtex.flow.fields import MIDDLE, check_numbers, check_positive, from_center, traced
 
 
 @dataclass(frozen=True)

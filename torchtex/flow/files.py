@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchtex.flow_fields import Given, check_fields
+from torchtex.flow.fields import Given, check_fields
 from torchtex.image import atomic_write, check_writable
 
 FLOW_SUFFIXES = (".npy", ".npz", ".flo")

@@ -9,8 +9,8 @@ import pytest
 import torch
 from conftest import noise
 
-from torchtex import flow_files
-from torchtex.flow_files import load_flow, load_strokes, save_flow
+from torchtex.flow import files
+from torchtex.flow.files import load_flow, load_strokes, save_flow
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
@@ -139,4 +139,4 @@ def test_strokes_may_be_in_an_object(tmp_path: Path) -> None:
 
 
 def test_examples() -> None:
-    assert doctest.testmod(flow_files, extraglobs={"torch": torch}).failed == 0
+    assert doctest.testmod(files, extraglobs={"torch": torch}).failed == 0

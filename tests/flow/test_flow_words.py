@@ -7,13 +7,13 @@ import pytest
 import torch
 from conftest import noise
 
-from torchtex import flow_words
-from torchtex.flow_fields import Flow, Given, Summed, Uniform
-from torchtex.flow_files import save_flow
-from torchtex.flow_strokes import Strokes
-from torchtex.flow_words import parse_flow
-from torchtex.flows import Rotation, Saddle, Shear, Sink, Source, Wave
-from torchtex.fluids import DoubleGyre, StableFluid, Vortices, vortex_pair
+from torchtex.flow import words
+from torchtex.flow.fields import Flow, Given, Summed, Uniform
+from torchtex.flow.files import save_flow
+from torchtex.flow.fluids import DoubleGyre, StableFluid, Vortices, vortex_pair
+from torchtex.flow.formulas import Rotation, Saddle, Shear, Sink, Source, Wave
+from torchtex.flow.strokes import Strokes
+from torchtex.flow.words import parse_flow
 
 
 @pytest.mark.parametrize(
@@ -91,8 +91,8 @@ def test_every_name_of_the_docstring_is_known_and_the_other_way_round() -> None:
     doc = parse_flow.__doc__ or ""
     rows = [line.strip() for line in doc.splitlines() if line.strip().startswith("|")]
     names = {name.strip() for row in rows[2:] for name in row.split("|")[1].split(",")}
-    assert names == set(flow_words._BUILDERS)
+    assert names == set(words._BUILDERS)
 
 
 def test_examples() -> None:
-    assert doctest.testmod(flow_words, extraglobs={"torch": torch}).failed == 0
+    assert doctest.testmod(words, extraglobs={"torch": torch}).failed == 0

@@ -6,12 +6,12 @@ import math
 import pytest
 import torch
 
-from torchtex import flows
-from torchtex.flow_fields import Flow, Given, Scaled, Summed, Uniform
-from torchtex.flow_strokes import Strokes
-from torchtex.flow_warps import divergence, jacobian
-from torchtex.flows import Rotation, Saddle, Shear, Sink, Source, Wave
-from torchtex.fluids import DoubleGyre, StableFluid, Vortices, vortex_pair
+from torchtex.flow import formulas
+from torchtex.flow.fields import Flow, Given, Scaled, Summed, Uniform
+from torchtex.flow.fluids import DoubleGyre, StableFluid, Vortices, vortex_pair
+from torchtex.flow.formulas import Rotation, Saddle, Shear, Sink, Source, Wave
+from torchtex.flow.strokes import Strokes
+from torchtex.flow.warps import divergence, jacobian
 from torchtex.quadratic import threads
 
 CURVE = ((0.8, 0.2), (0.3, 0.4), (0.3, 0.8))
@@ -146,4 +146,4 @@ def test_given_flows_are_flows() -> None:
 
 
 def test_examples() -> None:
-    assert doctest.testmod(flows, extraglobs={"torch": torch}).failed == 0
+    assert doctest.testmod(formulas, extraglobs={"torch": torch}).failed == 0

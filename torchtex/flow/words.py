@@ -7,11 +7,11 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from torchtex.flow_fields import Flow, Summed, Uniform
-from torchtex.flow_files import FLOW_SUFFIXES, load_flow, load_strokes
-from torchtex.flow_strokes import Strokes
-from torchtex.flows import Rotation, Saddle, Shear, Sink, Source, Wave
-from torchtex.fluids import DoubleGyre, StableFluid, Vortices, vortex_pair
+from torchtex.flow.fields import Flow, Summed, Uniform
+from torchtex.flow.files import FLOW_SUFFIXES, load_flow, load_strokes
+from torchtex.flow.fluids import DoubleGyre, StableFluid, Vortices, vortex_pair
+from torchtex.flow.formulas import Rotation, Saddle, Shear, Sink, Source, Wave
+from torchtex.flow.strokes import Strokes
 
 
 def parse_flow(text: str, *, name: str = "flow") -> Flow:

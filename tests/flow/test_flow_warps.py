@@ -7,11 +7,11 @@ import torch
 from conftest import noise, stripes
 from torch import Tensor
 
-from torchtex import flow_warps
-from torchtex.flow_fields import Flow, Uniform
-from torchtex.flow_warps import advect, coverage, divergence, invert, jacobian, sample, warp
-from torchtex.flows import Rotation, Saddle, Shear, Sink, Source
-from torchtex.fluids import StableFluid, Vortices, vortex_pair
+from torchtex.flow import warps
+from torchtex.flow.fields import Flow, Uniform
+from torchtex.flow.fluids import StableFluid, Vortices, vortex_pair
+from torchtex.flow.formulas import Rotation, Saddle, Shear, Sink, Source
+from torchtex.flow.warps import advect, coverage, divergence, invert, jacobian, sample, warp
 from torchtex.quadratic import threads
 
 SMOOTH: list[Flow] = [
@@ -205,4 +205,4 @@ def test_another_size_is_refused() -> None:
 
 
 def test_examples() -> None:
-    assert doctest.testmod(flow_warps, extraglobs={"torch": torch}).failed == 0
+    assert doctest.testmod(warps, extraglobs={"torch": torch}).failed == 0

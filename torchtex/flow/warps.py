@@ -5,7 +5,7 @@ import torch.nn.functional as F
 from jaxtyping import Float, Shaped
 from torch import Tensor
 
-from torchtex.flow_fields import check_fields, from_center
+from torchtex.flow.fields import check_fields, from_center
 
 _FIXED = 2**20  # weights are added up as whole numbers, so that no order of additions matters
 

@@ -7,8 +7,8 @@ import pytest
 import torch
 from conftest import noise
 
-from torchtex import flow_fields
-from torchtex.flow_fields import Given, Scaled, Summed, Uniform, check_fields, from_center, traced
+from torchtex.flow import fields
+from torchtex.flow.fields import Given, Scaled, Summed, Uniform, check_fields, from_center, traced
 
 
 def test_given_fields_come_in_order_and_keep_their_dtype() -> None:
@@ -77,4 +77,4 @@ def test_tracing_a_rotation_stays_on_circles() -> None:
 
 
 def test_examples() -> None:
-    assert doctest.testmod(flow_fields, extraglobs={"torch": torch}).failed == 0
+    assert doctest.testmod(fields, extraglobs={"torch": torch}).failed == 0
