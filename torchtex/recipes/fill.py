@@ -53,7 +53,7 @@ def fill(
     r: float = 0.8,
     confidence: float = 10.0,
     offsets: int = 64,
-    border: float = 3.0,
+    border: float = 10.0,
     poisson: bool = True,
     reach: int = 256,
     schedule: Sequence[Level] | None = None,
