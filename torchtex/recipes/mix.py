@@ -59,7 +59,7 @@ def mix(
 
     Example:
         >>> from torchtex import data
-        >>> both = [data.load(name)[:, :48, :48] for name in ("gravel", "bark")]
+        >>> both = [data.load(name)[:, :48, :48] for name in ("gravel", "grass")]
         >>> ramp = torch.linspace(0, 1, 64).expand(1, 40, 64)
         >>> mix(both, ramp).texture.shape
         torch.Size([1, 40, 64])
@@ -204,8 +204,8 @@ def shaped(
 
     Example:
         >>> half = (torch.arange(16) < 8).expand(16, 16)
-        >>> shaped([half], half, reach=4).texture[0, 0, 3:13].tolist()
-        [1.0, 1.0, 0.875, 0.75, 0.625, 0.375, 0.25, 0.125, 0.0, 0.0]
+        >>> shaped([half], half, reach=4).texture[0, 0, 5:11].tolist()
+        [0.8125, 0.6875, 0.5625, 0.4375, 0.3125, 0.1875]
     """
     if reach < 1:
         raise ValueError(f"reach={reach} must be at least 1 pixel")
