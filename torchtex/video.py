@@ -53,6 +53,19 @@ def check_video(path: str | Path, *, name: str = "output") -> None:
         _ffmpeg(name)
 
 
+def check_rate(rate: float) -> None:
+    """Refuses a number of frames per second that no player shows.
+
+    Raises:
+        ValueError: not above 0, or above 1000.
+
+    Example:
+        >>> check_rate(25.0)
+    """
+    if not 0 < rate <= 1000:
+        raise ValueError(f"rate={rate} must be above 0 and at most 1000 frames per second")
+
+
 def is_folder(path: Path) -> bool:
     """True for a path that names a folder of frames: no ending, or a folder that is there.
 
@@ -91,7 +104,8 @@ def write_video(
         rate: frames per second.
 
     Raises:
-        ValueError: no frames, a rate that is not above 0, or what `check_video` refuses.
+        ValueError: no frames, frames of several sizes, a rate out of range, or what
+            `check_video` refuses.
 
     Example:
         >>> import tempfile
@@ -101,13 +115,8 @@ def write_video(
     """
     path = Path(path)
     check_video(path, name=name)
-    if not 0 < rate <= 1000:
-        raise ValueError(f"rate={rate} must be above 0 and at most 1000 frames per second")
-    stream = iter(frames)
-    first = next(stream, None)
-    if first is None:
-        raise ValueError("frames: none given; make at least one")
-    whole = itertools.chain([first], stream)
+    check_rate(rate)
+    whole = _alike(frames)
     if is_folder(path):
         path.mkdir(exist_ok=True)
         count = 0
@@ -119,6 +128,25 @@ def write_video(
         if path.suffix.lower() in FILMS:
             return _film(temporary, whole, rate, name)
         return _moving(temporary, whole, rate)
+
+
+def _alike(frames: Iterable[Tensor]) -> Iterator[Tensor]:
+    """The frames, none of them kept; the first is there once this returns."""
+    stream = iter(frames)
+    first = next(stream, None)
+    if first is None:
+        raise ValueError("frames: none given; make at least one")
+    return itertools.chain([first], _following(stream, first.shape[1], first.shape[2]))
+
+
+def _following(stream: Iterator[Tensor], height: int, width: int) -> Iterator[Tensor]:
+    for number, frame in enumerate(stream, 1):
+        if tuple(frame.shape[1:]) != (height, width):
+            raise ValueError(
+                f"frame {number} is {frame.shape[1]}x{frame.shape[2]} pixels and frame 0 is "
+                f"{height}x{width}; make all of one size"
+            )
+        yield frame
 
 
 def _pixels(frame: Tensor) -> Any:
@@ -171,15 +199,16 @@ def _moving(path: Path, frames: Iterator[Tensor], rate: float) -> int:
     first = next(stream)
     kind = {".gif": "GIF", ".webp": "WEBP", ".apng": "PNG", ".png": "PNG"}[path.suffix.lower()]
     options: dict[str, Any] = {"quality": 90} if kind == "WEBP" else {}
-    first.save(
-        path,
-        format=kind,
-        save_all=True,
-        append_images=list(stream) if kind == "PNG" else stream,  # an APNG is read twice
-        duration=round(1000 / rate),
-        loop=0,
-        **options,
-    )
+    with path.open("wb") as file:  # Pillow leaves a file that it opens open after Ctrl-C
+        first.save(
+            file,
+            format=kind,
+            save_all=True,
+            append_images=list(stream) if kind == "PNG" else stream,  # an APNG is read twice
+            duration=round(1000 / rate),
+            loop=0,
+            **options,
+        )
     return count
 
 

@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from torchtex.cli.base import Interrupts, app, progress_bar
-from torchtex.cli.files import check_masks, load_exemplars, parse_size, read_files, sha256
+from torchtex.cli.files import (
+    check_masks,
+    check_output,
+    load_exemplars,
+    parse_size,
+    read_files,
+    sha256,
+)
 from torchtex.cli.options import Exemplars, KeepPartial, Quiet, Report, Seed, Size, Threads
 from torchtex.cli.recipe import kept_options
 
@@ -82,26 +89,22 @@ def animate(
     from torchtex.flow.words import parse_flow
     from torchtex.recipes.animate import Motion
     from torchtex.recipes.animate import animate as animated
-    from torchtex.video import check_video, is_folder, write_video
+    from torchtex.video import is_folder, write_video
 
     height_width = parse_size(size)
     check_masks(exemplar, mask or [])
     if boundary not in ("free", "periodic"):
         raise ValueError(f"boundary={boundary!r} must be free or periodic")
     motion = Motion(pull=pull, sharpen=sharpen)
-    check_video(output)
-    if report is not None:
-        images.check_writable(report, suffixes=(".json",), name="report")
-    if flow_picture is not None:
-        images.check_writable(flow_picture, suffixes=images.SUFFIXES, name="flow-picture")
     field = parse_flow(flow)
     moving = field if flow_scale == 1 else Scaled(field, flow_scale)
+    read = read_files(exemplar, mask or [])
+    _check_outputs(
+        read, output, keep, rate, compare, {"report": report, "flow-picture": flow_picture}
+    )
     folder = output if is_folder(output) else keep
-    if folder is not None and folder.exists() and not folder.is_dir():
-        raise ValueError(f"keep={str(folder)!r} is a file; name a folder")
     if threads is not None:
         torch.set_num_threads(threads)
-    read = read_files(exemplar, mask or [])
     about: dict[str, Any] = {
         "version": torchtex.__version__,
         "command": "animate",
@@ -160,6 +163,44 @@ def animate(
     print(output)
 
 
+def _check_outputs(
+    read: dict[str, Path],
+    output: Path,
+    keep: Path | None,
+    rate: float,
+    compare: bool,
+    others: "dict[str, Path | None]",
+) -> None:
+    """Refuses, before any work, what cannot be written."""
+    from torchtex import image as images
+    from torchtex.video import check_rate, check_video, is_folder
+
+    check_video(output)
+    check_rate(rate)
+    if is_folder(output):
+        if compare:
+            raise ValueError(
+                f"compare needs a film, and output={str(output)!r} is a folder; name a film, and "
+                "a folder with --keep"
+            )
+    else:
+        check_output(output, read.values(), suffixes=())
+    if keep is not None:
+        if keep.exists() and not keep.is_dir():
+            raise ValueError(f"keep={str(keep)!r} is a file; name a folder")
+        if not keep.resolve().parent.is_dir():
+            raise ValueError(f"keep={str(keep)!r}: there is no folder to make it in")
+    written = [output.resolve()]
+    for name, path in others.items():
+        if path is None:
+            continue
+        suffixes = (".json",) if name == "report" else images.SUFFIXES
+        check_output(path, read.values(), name, suffixes)
+        if path.resolve() in written:
+            raise ValueError(f"{name}={str(path)!r} is another output too; choose another name")
+        written.append(path.resolve())
+
+
 class _Stage:
     """What the progress bar is told of a frame."""
 
@@ -171,8 +212,10 @@ class _Stage:
 
 
 def _deciding(context: typer.Context) -> dict[str, Any]:
-    """The options that decide the frames: not where they go, nor how many are wanted."""
-    aside = ("keep", "rate", "flow_picture", "compare")
+    """The options that decide the frames: not where they go, nor how many of them are wanted."""
+    aside = ["keep", "rate", "flow_picture", "compare"]
+    if not context.params["loop"]:
+        aside.append("frames")
     return {name: value for name, value in kept_options(context).items() if name not in aside}
 
 
@@ -197,7 +240,6 @@ class _Folder:
 
     def __init__(self, folder: Path, about: dict[str, Any]) -> None:
         self.folder, self.about = folder, json.dumps(about, sort_keys=True)
-        folder.mkdir(exist_ok=True)
 
     def resumed(self) -> "Frame | None":
         """The last frame that is there, if it is of the same run."""
@@ -228,6 +270,7 @@ class _Folder:
         from torchtex.recipes.animate import save_frame
         from torchtex.video import frame_name
 
+        self.folder.mkdir(exist_ok=True)
         images.save(self.folder / frame_name(frame.number), frame.texture)
         save_frame(self.folder / STATE, frame, self.about)
 

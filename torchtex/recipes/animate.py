@@ -21,12 +21,13 @@ from torchtex.carry import composed, weighed_field
 from torchtex.controls import SoftConstraint
 from torchtex.energy import Energy, Objective
 from torchtex.estep import ClosedForm
-from torchtex.flow.fields import Flow, check_fields
+from torchtex.flow.fields import Flow, Given, Scaled, Summed, check_fields
 from torchtex.flow.warps import invert, warp
 from torchtex.image import atomic_write
 from torchtex.labels import LabelField, label_arrays, label_field
 from torchtex.model import LabelSpace, Search, TextureModel, fast_search, texture_model
 from torchtex.neighborhoods import Grid
+from torchtex.recipes.inputs import check_seed
 from torchtex.sources import UNREADABLE
 from torchtex.synthesize import synthesize
 
@@ -212,7 +213,10 @@ def animate(
         raise ValueError(f"frames={frames} must be at least 1")
     if not 0 <= loop < frames:
         raise ValueError(f"loop={loop} must be at least 0 and below frames={frames}")
-    check_flow(flow, size)
+    if boundary not in ("free", "periodic"):
+        raise ValueError(f"boundary={boundary!r} must be free or periodic")
+    check_seed(seed)
+    check_flow(flow, size, frames)
     return _frames(
         exemplars, size, flow, frames, masks, motion, boundary, loop, search, seed, resume, on_frame
     )  # fmt: skip
@@ -238,19 +242,14 @@ def _frames(
     models: list[TextureModel] = []
     frame, home = resume, None
     if frame is None or loop:
-        began = time.perf_counter()
-        still = synthesize(
-            zs, size, masks=masks, boundary="periodic" if periodic else "free", search=search,
-            seed=seed,
-        )  # fmt: skip
-        seen = torch.zeros(size).to(still.texture)
-        first = Frame(0, still.texture, still.field, seen, 0.0, time.perf_counter() - began)
+        first = _first(zs, size, masks, periodic, search, seed)
         home = _Home(first.texture, flow, frames, loop, periodic) if loop else None
         if frame is None:
             frame = first
             if on_frame is not None:
                 on_frame(frame)
             yield frame
+        del first
     for number in range(frame.number + 1, frames):
         began = time.perf_counter()
         field = _field_at(flow, number - 1, size).to(frame.texture)
@@ -260,6 +259,21 @@ def _frames(
         if on_frame is not None:
             on_frame(frame)
         yield frame
+
+
+def _first(
+    zs: Sequence[Tensor],
+    size: tuple[int, int],
+    masks: Tensor | Sequence[Tensor | None] | None,
+    periodic: bool,
+    search: Search | None,
+    seed: int,
+) -> Frame:
+    still = synthesize(
+        zs, size, masks=masks, boundary="periodic" if periodic else "free", search=search, seed=seed
+    )
+    seen = torch.zeros(size).to(still.texture)
+    return Frame(0, still.texture, still.field, seen, 0.0, still.seconds)
 
 
 def _models(
@@ -311,12 +325,12 @@ def _next(
         labels = moved_labels(model, field, backward if field is last.field else None)
         # labels are carried, not pixels: those of the exemplar are sharp, moved ones are not
         x = composed(_placed(model, labels), x, zs)
-        pull = motion.pull * float(_weight(model, labels, x))
-        controls: list[tuple[float, Energy]] = [(pull, SoftConstraint(wished, confidence))]
-        if home is not None:
-            controls += home.controls(number, pull)
         for _ in range(steps):
             labels = model.match(x, labels)
+            pull = motion.pull * float(_weight(model, labels, x))
+            controls: list[tuple[float, Energy]] = [(pull, SoftConstraint(wished, confidence))]
+            if home is not None:
+                controls += home.controls(number, pull)
             x = estep(Objective(((1.0, model.energy(labels)), *controls)), x)
         field = weighed_field(model, labels, x, zs)
     texture = x.clamp(0, 1)
@@ -451,17 +465,33 @@ def _kept(field: Tensor, periodic: bool) -> Tensor:
     return ((row >= 0) & (row <= h - 1) & (col >= 0) & (col <= w - 1)).to(field)
 
 
-def check_flow(flow: Flow, size: tuple[int, int]) -> None:
-    """Refuses a flow whose first field is none, or is of another size.
+def check_flow(flow: Flow, size: tuple[int, int], frames: int = 2) -> None:
+    """Refuses a flow whose first field is none, or is of another size, or that ends too early.
+
+    Args:
+        frames: how many it has to lead through.
 
     Raises:
-        ValueError: NaN, another rank or size, or a displacement larger than the frame.
+        ValueError: NaN, another rank or size, a displacement larger than the frame, or too few
+            given fields.
 
     Example:
         >>> from torchtex.flow.fields import Uniform
         >>> check_flow(Uniform((0.0, 1.0)), (8, 8))
     """
     _field_at(flow, 0, size)
+    if frames > 2:
+        for part in _given(flow):
+            part(frames - 2, *size)
+
+
+def _given(flow: Flow) -> list[Given]:
+    """The parts of a flow that have an end. The last field of others may take long to make."""
+    if isinstance(flow, Scaled):
+        return _given(flow.flow)
+    if isinstance(flow, Summed):
+        return [given for part in flow.flows for given in _given(part)]
+    return [flow] if isinstance(flow, Given) else []
 
 
 def _field_at(flow: Flow, frame: int, size: tuple[int, int]) -> Tensor:

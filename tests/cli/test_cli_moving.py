@@ -1,0 +1,185 @@
+"""The command animate: what it writes, interrupts and going on, sentences for bad input."""
+
+import json
+import os
+import signal
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from conftest import Run, pixels, refused, stripes
+
+from torchtex import image as images
+from torchtex.cli import moving
+
+LINE = ("animate", "z.png", "--size", "32x36", "--flow", "source:1", "--quiet")
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with an exemplar and flows, which is the current one."""
+    monkeypatch.chdir(tmp_path)
+    images.save("z.png", stripes(32, 32).float())
+    images.save("white.png", torch.ones(1, 32, 32))
+    np.save("small.npy", np.zeros((2, 8, 8), np.float32))
+    np.save("two.npy", np.zeros((2, 2, 32, 36), np.float32))
+    np.save("nan.npy", np.full((2, 32, 36), np.nan, np.float32))
+    return tmp_path
+
+
+def interrupt_at(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
+    """Ctrl-C as soon as that frame is there."""
+    usual = moving._Stage
+
+    def stage(frame: Any, frames: int) -> Any:
+        if frame.number == number:
+            signal.raise_signal(signal.SIGINT)
+        return usual(frame, frames)
+
+    monkeypatch.setattr(moving, "_Stage", stage)
+
+
+def frame_bytes(folder: str) -> list[bytes]:
+    """Frames of a folder in order."""
+    return [path.read_bytes() for path in sorted(Path(folder).glob("frame_*.png"))]
+
+
+@pytest.mark.parametrize("name", ["x.gif", "x.webp", "x.apng", "x.mp4"])
+def test_films_are_written(run: Run, here: Path, name: str) -> None:
+    if name.endswith(".mp4"):
+        pytest.importorskip("imageio_ffmpeg", reason="imageio_ffmpeg is not installed")
+    done = run(*LINE, "--frames", 3, "-o", name)
+    assert done.code == 0, done
+    assert done.out.strip() == name
+    assert os.path.getsize(name) > 500
+
+
+def test_a_folder_a_report_and_a_picture_of_the_flow(run: Run, here: Path) -> None:
+    line = (*LINE, "--frames", 3, "--report", "r.json", "--flow-picture", "flow.png")
+    assert run(*line, "-o", "frames").code == 0
+    assert len(frame_bytes("frames")) == 3
+    assert len(list(Path("frames").iterdir())) == 3  # no state is left
+    report = json.loads(Path("r.json").read_text())
+    assert [line["frame"] for line in report["frames"]] == [0, 1, 2]
+    assert report["frames"][1]["warp_error"] > 0
+    assert report["options"]["flow"] == "source:1"
+    assert pixels("flow.png").shape == (3, 32, 36)
+
+
+def test_a_comparison_is_three_frames_wide(run: Run, here: Path) -> None:
+    from PIL import Image
+
+    assert run(*LINE, "--frames", 3, "--compare", "--keep", "kept", "-o", "x.gif").code == 0
+    with Image.open("x.gif") as film:
+        assert film.size == (3 * 36, 32)
+    assert pixels("kept/frame_00001.png").shape == (3, 32, 36)
+
+
+def test_an_interrupted_folder_goes_on(
+    run: Run, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert run(*LINE, "--frames", 5, "-o", "whole").code == 0
+    with monkeypatch.context() as patch:
+        interrupt_at(patch, 3)
+        done = run(*LINE, "--frames", 5, "-o", "parts")
+    assert done.code == 130
+    assert len(frame_bytes("parts")) == 3
+    refused(run, here / "parts", "other options", *LINE, "--frames", 5, "--pull", 2, "-o", "parts")
+    assert run(*LINE, "--frames", 5, "-o", "parts", "--report", "r.json").code == 0
+    assert frame_bytes("parts") == frame_bytes("whole")
+    assert len(json.loads(Path("r.json").read_text())["frames"]) == 2
+
+
+def test_an_interrupted_film_goes_on_from_what_was_kept(
+    run: Run, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    line = (*LINE, "--frames", 4)
+    assert run(*line, "-o", "whole.gif").code == 0
+    with monkeypatch.context() as patch:
+        interrupt_at(patch, 2)
+        assert run(*line, "-o", "parts.gif", "--keep", "kept").code == 130
+    assert not Path("parts.gif").exists()
+    assert run(*line, "-o", "parts.gif", "--keep", "kept").code == 0
+    assert Path("parts.gif").read_bytes() == Path("whole.gif").read_bytes()
+
+
+@pytest.mark.parametrize("keep", [False, True])
+def test_ctrl_c(run: Run, here: Path, monkeypatch: pytest.MonkeyPatch, keep: bool) -> None:
+    before = set(here.iterdir())
+    interrupt_at(monkeypatch, 2)
+    done = run(*LINE, "--frames", 6, "-o", "x.gif", *(["--keep-partial"] if keep else []))
+    assert done.code == 130
+    assert done.err.strip() == "torchtex: interrupted"
+    assert done.out.strip() == ("x.gif" if keep else "")
+    assert {path.name for path in set(here.iterdir()) - before} == ({"x.gif"} if keep else set())
+
+
+def test_threads_do_not_change_a_bit(run: Run, here: Path) -> None:
+    for threads in (1, 2):
+        line = (*LINE, "--frames", 3, "--threads", threads, "-o", f"frames{threads}")
+        assert run(*line).code == 0
+    assert frame_bytes("frames1") == frame_bytes("frames2")
+
+
+def test_frames_that_tile_and_loop(run: Run, here: Path) -> None:
+    line = (
+        "animate",
+        "z.png",
+        "--size",
+        "32x32",
+        "--flow",
+        "uniform:0,1",
+        "--boundary",
+        "periodic",
+    )
+    assert run(*line, "--frames", 4, "--loop", 2, "-o", "frames", "--quiet").code == 0
+    assert len(frame_bytes("frames")) == 4
+
+
+@pytest.mark.parametrize(
+    ("words", "options"),
+    [
+        ("frames=0", "--frames 0"),
+        ("frames=-2", "--frames=-2"),
+        ("loop=4", "--loop 4"),
+        ("loop=-1", "--loop=-1"),
+        ("boundary='round'", "--boundary round"),
+        ("pull=-1", "--pull=-1"),
+        ("sharpen=3", "--sharpen 3"),
+        ("rate=0", "--rate 0"),
+        ("seed=-1", "--seed=-1"),
+        ("size='4'", "--size 4"),
+        ("names no flow", "--flow vortx"),
+        ("more than the width", "--flow uniform:0,50"),
+        ("do not fit", "--flow small.npy"),
+        ("2 flow fields", "--flow two.npy"),
+        ("NaN", "--flow nan.npy"),
+        ("no such file", "--flow missing.npy"),
+        ("more than the", "--flow-scale 100"),
+        ("factor=nan", "--flow-scale nan"),
+        ("x.avi", "-o x.avi"),
+        ("nowhere", "-o nowhere/x.gif"),
+        ("z.png", "-o z.png"),
+        ("keep='z.png' is a file", "--keep z.png"),
+        ("nowhere", "--keep nowhere/kept"),
+        ("report='r.txt'", "--report r.txt"),
+        ("flow-picture='f.gif'", "--flow-picture f.gif"),
+        ("flow-picture='z.png'", "--flow-picture z.png"),
+        ("mask", "--mask white.png --mask white.png"),
+        ("compare", "--compare -o frames"),
+    ],
+)
+@pytest.mark.parametrize("output", ["bad.gif", "bad"])
+def test_bad_input(run: Run, here: Path, words: str, options: str, output: str) -> None:
+    usual = {"-o": output, "--size": "32x36", "--flow": "source:1", "--frames": "4"}
+    given = options.split()
+    line = [item for key, value in usual.items() if key not in given for item in (key, value)]
+    refused(run, here, words, "animate", "z.png", *line, *given, "--quiet")
+
+
+def test_without_the_encoder(run: Run, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    refused(run, here, "imageio-ffmpeg", *LINE, "--frames", 2, "-o", "x.mp4")

@@ -1,0 +1,275 @@
+"""Textures along flows: the first frame, what follows, constant memory, bad input."""
+
+import gc
+import itertools
+import math
+import re
+import weakref
+from pathlib import Path
+
+import pytest
+import torch
+from conftest import noise, stripes
+from torch import Tensor
+
+from torchtex.flow.fields import Flow, Given, Scaled, Summed, Uniform
+from torchtex.flow.formulas import Rotation, Sink, Source
+from torchtex.recipes.animate import (
+    Frame,
+    Motion,
+    animate,
+    check_flow,
+    load_frame,
+    moved_labels,
+    regenerated_frames,
+    save_frame,
+    warp_error,
+    warped_frames,
+)
+from torchtex.synthesize import synthesize
+
+STILL = Uniform((0.0, 0.0))
+
+
+def drawn(flow: Flow, frames: int = 3, **options: object) -> list[Frame]:
+    """A small animation."""
+    return list(animate(stripes(32, 32), (36, 40), flow, frames, **options))  # type: ignore[arg-type]
+
+
+def test_the_first_frame_is_a_synthesis() -> None:
+    first = next(animate(stripes(32, 32), (36, 40), STILL, 1, seed=3))
+    still = synthesize(stripes(32, 32), (36, 40), seed=3)
+    assert torch.equal(first.texture, still.texture)
+    assert first.number == 0
+    assert first.warp_error == 0
+
+
+def test_without_motion_little_changes() -> None:
+    frames = drawn(STILL, 4)
+    for before, after in itertools.pairwise(frames):
+        assert (before.texture - after.texture).square().mean().sqrt() < 0.05
+        assert after.confidence.min() == 1
+
+
+def test_whole_pixels_move_along() -> None:
+    frames = drawn(Uniform((0.0, 2.0)), 4)
+    for before, after in itertools.pairwise(frames):
+        gap = before.texture[:, :, 4:-6] - after.texture[:, :, 6:-4]
+        assert gap.square().mean().sqrt() < 0.07
+        assert after.confidence[:, 0].max() == 0  # what comes in is new
+        assert after.warp_error < 0.07
+
+
+@pytest.mark.parametrize("flow", [Source(1.5), Sink(1.5), Rotation(4.0)])
+def test_a_texture_that_moves_stays_one(flow: Flow) -> None:
+    frames = drawn(flow, 9)
+
+    def sharp(image: Tensor) -> float:
+        return float((image[:, 1:, 1:] - image[:, :-1, 1:]).abs().mean())
+
+    assert sharp(frames[-1].texture) > 0.75 * sharp(frames[0].texture)
+    for frame in frames:
+        assert 0 <= frame.texture.min() <= frame.texture.max() <= 1
+        assert frame.texture.dtype == torch.float64
+
+
+def test_frames_are_tiles_when_periodic() -> None:
+    frames = drawn(Uniform((1.0, 0.0)), 3, boundary="periodic")
+    assert all(frame.field.grid.periodic for frame in frames)
+    assert frames[1].confidence.min() == 1
+
+
+@pytest.mark.parametrize("channels", [1, 4])
+def test_channels(channels: int) -> None:
+    *_, frame = animate(stripes(32, 32, channels), (32, 32), Uniform((1.0, 0.0)), 2)
+    assert frame.texture.shape == (channels, 32, 32)
+
+
+def test_several_exemplars_and_masks() -> None:
+    mask = torch.ones(32, 32, dtype=torch.bool)
+    mask[:, 26:] = False
+    zs = [stripes(32, 32), stripes(36, 30, seed=1)]
+    *_, frame = animate(zs, (32, 32), Uniform((1.0, 0.0)), 3, masks=[mask, None])
+    which, _, column = frame.field.positions.unbind(-1)
+    assert (column[which == 0] + frame.field.grid.size <= 26).all()
+
+
+def test_seeds() -> None:
+    same, again, other = (drawn(Source(1.0), 2, seed=seed)[1].texture for seed in (1, 1, 2))
+    assert torch.equal(same, again)
+    assert not torch.equal(same, other)
+
+
+def test_threads_do_not_change_a_bit() -> None:
+    found = []
+    for threads in (1, 2):
+        torch.set_num_threads(threads)
+        found.append(drawn(Source(1.5), 3)[-1].texture)
+    assert torch.equal(*found)
+
+
+def test_memory_does_not_grow() -> None:
+    made: list[weakref.ref[Tensor]] = []
+    for frame in animate(stripes(32, 32), (32, 32), Source(1.0), 6):
+        made.append(weakref.ref(frame.texture))
+        del frame
+        gc.collect()
+        assert sum(ref() is not None for ref in made) <= 1
+
+
+def test_a_run_goes_on_from_a_saved_frame(tmp_path: Path) -> None:
+    whole = drawn(Source(1.5), 5)
+    save_frame(tmp_path / "state.npz", whole[2], "options")
+    frame, about = load_frame(tmp_path / "state.npz")
+    assert about == "options"
+    rest = drawn(Source(1.5), 5, resume=frame)
+    assert [frame.number for frame in rest] == [3, 4]
+    for one, two in zip(whole[3:], rest, strict=True):
+        assert torch.equal(one.texture, two.texture)
+        assert torch.equal(one.field.positions, two.field.positions)
+
+
+def test_a_loop_comes_back() -> None:
+    frames = drawn(Uniform((0.0, 1.0)), 10, boundary="periodic", loop=5)
+    again = frames[0].texture.roll(-1, 2)  # the frame before the first one
+    gap = (frames[-1].texture - again).square().mean().sqrt()
+    assert gap < 0.1
+    open_ended = drawn(Uniform((0.0, 1.0)), 10, boundary="periodic")
+    assert gap < (open_ended[-1].texture - again).square().mean().sqrt()
+    resumed = drawn(Uniform((0.0, 1.0)), 10, boundary="periodic", loop=5, resume=frames[7])
+    assert torch.equal(resumed[-1].texture, frames[-1].texture)
+
+
+def test_on_frame_is_told_and_can_cancel() -> None:
+    seen: list[int] = []
+
+    def tell(frame: Frame) -> None:
+        seen.append(frame.number)
+        if frame.number == 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        drawn(STILL, 4, on_frame=tell)
+    assert seen == [0, 1]
+
+
+def test_frames_are_made_as_they_are_asked_for() -> None:
+    asked: list[int] = []
+
+    class Watched:
+        def __call__(self, frame: int, height: int, width: int) -> Tensor:
+            asked.append(frame)
+            return torch.zeros(2, height, width)
+
+    moving = animate(stripes(32, 32), (32, 32), Watched(), 1000)
+    next(moving)
+    next(moving)
+    assert max(asked) == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "flow"),
+    [
+        ("8 x 8 pixels do not fit", Given(torch.zeros(2, 8, 8))),
+        ("there are 2 flow fields", Given(torch.zeros(2, 2, 32, 32))),
+        ("there are 2 flow fields", Summed((STILL, Scaled(Given(torch.zeros(2, 2, 32, 32)), 2.0)))),
+        ("more than the width of 32", Uniform((0.0, 33.0))),
+        ("more than the height of 32", Uniform((-40.0, 0.0))),
+        ("NaN or infinity", lambda frame, h, w: torch.full((2, h, w), math.nan)),
+        ("flow has fields of 9x9", lambda frame, h, w: torch.zeros(2, 9, 9)),
+        ("must be (2, rows, columns)", lambda frame, h, w: torch.zeros(h, w, 2)),
+    ],
+)
+@pytest.mark.usefixtures("unchecked")
+def test_flows_that_are_refused_at_once(words: str, flow: Flow) -> None:
+    with pytest.raises(ValueError, match=re.escape(words)) as caught:
+        animate(noise(1, 32, 32), (32, 32), flow, 5)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "options"),
+    [
+        ("frames=0", {"frames": 0}),
+        ("frames=-1", {"frames": -1}),
+        ("loop=5", {"loop": 5}),
+        ("loop=9", {"loop": 9}),
+        ("loop=-1", {"loop": -1}),
+        ("boundary='round'", {"boundary": "round"}),
+        ("seed=-1", {"seed": -1}),
+    ],
+)
+@pytest.mark.usefixtures("unchecked")
+def test_options_that_are_refused_at_once(words: str, options: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match=words):
+        animate(noise(1, 32, 32), (32, 32), STILL, **({"frames": 5} | options))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("words", "options"),
+    [
+        ("sizes=", {"sizes": ()}),
+        ("steps=", {"steps": (1,)}),
+        ("sizes=", {"sizes": (1, 8)}),
+        ("steps=", {"steps": (0, 1)}),
+        ("pull=-1", {"pull": -1.0}),
+        ("pull=nan", {"pull": math.nan}),
+        ("sharpen=2", {"sharpen": 2.0}),
+        ("r=0", {"r": 0.0}),
+    ],
+)
+def test_motions_that_are_refused(words: str, options: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match=words):
+        Motion(**options)  # type: ignore[arg-type]
+
+
+def test_windows_that_do_not_fit() -> None:
+    moving = animate(noise(1, 20, 20), (32, 32), STILL, 2, motion=Motion((24,), (1,)))
+    with pytest.raises(ValueError, match="no window fits"):
+        list(moving)
+
+
+@pytest.mark.parametrize("content", [b"", b"no state", None])
+def test_states_that_are_none(tmp_path: Path, content: bytes | None) -> None:
+    if content is not None:
+        (tmp_path / "state.npz").write_bytes(content)
+    with pytest.raises(ValueError, match="not the state of an animation"):
+        load_frame(tmp_path / "state.npz")
+
+
+def test_labels_move_by_the_flow() -> None:
+    first = next(animate(noise(1, 32, 32), (32, 32), STILL, 1))
+    grid = first.field.grid
+    from torchtex.model import texture_model
+
+    model = texture_model([noise(1, 32, 32)], grid)
+    assert torch.equal(
+        model.space.positions[moved_labels(model, first.field)], first.field.positions
+    )
+    back = torch.zeros(2, 32, 32)
+    back[1] = -float(grid.cols[1] - grid.cols[0])
+    moved = model.space.positions[moved_labels(model, first.field, back)]
+    place, old = (p.view(*grid.shape, 3) for p in (moved, first.field.positions))
+    assert torch.equal(place[:, 2:], old[:, 1:-1])
+
+
+def test_rivals() -> None:
+    image = noise(1, 24, 24)
+    frames = list(warped_frames(image, Uniform((0.0, 2.0)), 4))
+    assert torch.allclose(frames[3][:, :, 6:], image[:, :, :-6])
+    anew = list(regenerated_frames(image, Uniform((0.0, 1.0)), 20))
+    assert len(anew) == 20
+    assert all(frame.min() >= 0 and frame.max() <= 1 for frame in anew)
+    with pytest.raises(ValueError, match="life=2"):
+        next(regenerated_frames(image, STILL, 2, life=2))
+
+
+def test_the_warp_error_counts_what_is_seen() -> None:
+    seen = torch.zeros(4, 4)
+    assert warp_error(torch.ones(1, 4, 4), torch.zeros(1, 4, 4), seen) == 0
+    seen[0] = 1
+    assert warp_error(torch.ones(1, 4, 4), torch.zeros(1, 4, 4), seen) == 1
+
+
+def test_check_flow_lets_flows_pass() -> None:
+    check_flow(Rotation(2.0), (20, 30))
