@@ -62,13 +62,14 @@ FLOORS = (
 FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}
 
 PUBLIC = {
-    "Auto", "Blocks", "Checkpoint", "Chunked", "ClosedForm", "Clustered", "Descend", "Exact",
-    "Gradients", "Grid", "Guide", "HalfStep", "LabelField", "Level", "Montage", "Objective",
-    "Pixels", "Progress", "RandomNeighborhoods", "Result", "Search", "SoftConstraint",
-    "SourceField", "Stack", "Stage", "Stroke", "TextureEnergy", "TextureModel", "WangSet",
-    "Wavelets", "blend", "brush", "cyclic", "data", "default_schedule", "edit", "em",
-    "exact_search", "fast_search", "graphcut", "image", "metrics", "patchwise", "quilt",
-    "synthesize", "texture_model", "transfer", "wang_tiles", "wavelets",
+    "Analogy", "Auto", "Blocks", "Checkpoint", "Chunked", "ClosedForm", "Clustered", "Descend",
+    "Exact", "Gradients", "Grid", "Guide", "HalfStep", "LabelField", "Level", "Montage",
+    "Motion", "Objective", "Pixels", "Progress", "RandomNeighborhoods", "Result", "Search",
+    "SoftConstraint", "SourceField", "Stack", "Stage", "Stroke", "TextureEnergy",
+    "TextureModel", "WangSet", "Wavelets", "animate", "blend", "brush", "cms", "cyclic",
+    "data", "default_schedule", "edit", "em", "exact_search", "fast_search", "fill",
+    "graphcut", "image", "image_analogies", "metrics", "mix", "parse_flow", "patchwise",
+    "quilt", "synthesize", "texture_model", "transfer", "wang_tiles", "wavelets",
 }  # fmt: skip
 
 

@@ -43,7 +43,7 @@ def test_readme_runs(
         "gravel.png", "gravel.npz", "again.png", "mixed.png", "tile.png", "height.png",
         "gravel-height.png", "mark.png", "quilt.png", "cut.png", "seams.png", "patches.png",
         "atlas.png", "atlas.json", "wang.png", "cyclic.png", "cyclic_3x3.png", "moved.png",
-        "blended.png",
+        "blended.png", "hole.png", "filled.png", "turning.gif",
     }  # fmt: skip
 
 

@@ -25,10 +25,17 @@ from .model import exact_search as exact_search
 from .model import fast_search as fast_search
 from .model import texture_model as texture_model
 from .neighborhoods import Grid as Grid
+from .recipes.analogy import Analogy as Analogy
+from .recipes.animate import Motion as Motion
+from .recipes.animate import animate as animate
 from .recipes.blend import blend as blend
+from .recipes.cms import cms as cms
 from .recipes.cyclic import cyclic as cyclic
+from .recipes.fill import fill as fill
 from .recipes.graphcut import graphcut as graphcut
 from .recipes.local_edit import edit as edit
+from .recipes.image_analogies import image_analogies as image_analogies
+from .recipes.mix import mix as mix
 from .recipes.montage import Montage as Montage
 from .recipes.montage import Stage as Stage
 from .recipes.patchwise import patchwise as patchwise
@@ -38,6 +45,7 @@ from .recipes.strokes import Stroke as Stroke
 from .recipes.strokes import brush as brush
 from .recipes.wang import WangSet as WangSet
 from .recipes.wang import wang_tiles as wang_tiles
+from .flow.words import parse_flow as parse_flow
 from .result import Checkpoint as Checkpoint
 from .result import Progress as Progress
 from .result import Result as Result
