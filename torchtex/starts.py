@@ -58,7 +58,11 @@ class Blocks:
         blocks = strips(exemplars, space, side).patches(labels.to(exemplars[0].device))
         blocks = blocks.view(ny, nx, side, side, -1).permute(4, 0, 2, 1, 3)
         whole = blocks.reshape(len(exemplars[0]), ny * side, nx * side)
-        return whole[:, : grid.height, : grid.width].contiguous()
+        whole = whole[:, : grid.height, : grid.width].contiguous()
+        if grid.periodic:  # else the borders of blocks would lie on that of the texture
+            shift = [int(torch.randint(side, (1,), generator=generator)) for _ in range(2)]
+            whole = whole.roll(shift, (1, 2))
+        return whole
 
 
 @dataclass(frozen=True)

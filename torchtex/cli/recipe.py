@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 ASIDE = {
     "output", "labels", "report", "threads", "keep_partial", "quiet", "seams", "patch_map",
-    "preview",
+    "preview", "curve",
 }  # fmt: skip
 """Options that change no pixel: they are not kept, and `repeat` does not take them from a file."""
 
