@@ -15,6 +15,7 @@ from .features import Gradients as Gradients
 from .features import Pixels as Pixels
 from .features import Stack as Stack
 from .features import Wavelets as Wavelets
+from .flow.words import parse_flow as parse_flow
 from .labels import LabelField as LabelField
 from .matching import Chunked as Chunked
 from .matching import Clustered as Clustered
@@ -33,8 +34,8 @@ from .recipes.cms import cms as cms
 from .recipes.cyclic import cyclic as cyclic
 from .recipes.fill import fill as fill
 from .recipes.graphcut import graphcut as graphcut
-from .recipes.local_edit import edit as edit
 from .recipes.image_analogies import image_analogies as image_analogies
+from .recipes.local_edit import edit as edit
 from .recipes.mix import mix as mix
 from .recipes.montage import Montage as Montage
 from .recipes.montage import Stage as Stage
@@ -45,7 +46,6 @@ from .recipes.strokes import Stroke as Stroke
 from .recipes.strokes import brush as brush
 from .recipes.wang import WangSet as WangSet
 from .recipes.wang import wang_tiles as wang_tiles
-from .flow.words import parse_flow as parse_flow
 from .result import Checkpoint as Checkpoint
 from .result import Progress as Progress
 from .result import Result as Result
