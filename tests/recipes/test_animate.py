@@ -14,13 +14,16 @@ from torch import Tensor
 
 from torchtex.flow.fields import Flow, Given, Scaled, Summed, Uniform
 from torchtex.flow.formulas import Rotation, Sink, Source
+from torchtex.model import texture_model
+from torchtex.neighborhoods import Grid
 from torchtex.recipes.animate import (
     Frame,
     Motion,
     animate,
     check_flow,
     load_frame,
-    moved_labels,
+    moved_pieces,
+    pieces,
     regenerated_frames,
     save_frame,
     warp_error,
@@ -208,13 +211,11 @@ def test_options_that_are_refused_at_once(words: str, options: dict[str, object]
 @pytest.mark.parametrize(
     ("words", "options"),
     [
-        ("sizes=", {"sizes": ()}),
-        ("steps=", {"steps": (1,)}),
-        ("sizes=", {"sizes": (1, 8)}),
-        ("steps=", {"steps": (0, 1)}),
-        ("pull=-1", {"pull": -1.0}),
-        ("pull=nan", {"pull": math.nan}),
-        ("sharpen=2", {"sharpen": 2.0}),
+        ("size=1", {"size": 1}),
+        ("patch=4", {"patch": 4}),
+        ("stretch=0", {"stretch": 0.0}),
+        ("stretch=nan", {"stretch": math.nan}),
+        ("hold=2", {"hold": 2.0}),
         ("r=0", {"r": 0.0}),
     ],
 )
@@ -224,7 +225,7 @@ def test_motions_that_are_refused(words: str, options: dict[str, object]) -> Non
 
 
 def test_windows_that_do_not_fit() -> None:
-    moving = animate(noise(1, 20, 20), (32, 32), STILL, 2, motion=Motion((24,), (1,)))
+    moving = animate(noise(1, 20, 20), (32, 32), STILL, 2, motion=Motion(24))
     with pytest.raises(ValueError, match="no window fits"):
         list(moving)
 
@@ -240,17 +241,44 @@ def test_states_that_are_none(tmp_path: Path, content: bytes | None) -> None:
 def test_labels_move_by_the_flow() -> None:
     first = next(animate(noise(1, 32, 32), (32, 32), STILL, 1))
     grid = first.field.grid
-    from torchtex.model import texture_model
-
     model = texture_model([noise(1, 32, 32)], grid)
-    assert torch.equal(
-        model.space.positions[moved_labels(model, first.field)], first.field.positions
-    )
-    back = torch.zeros(2, 32, 32)
+    back = torch.zeros(2, 32, 32, dtype=torch.float64)
+    labels, drift = moved_pieces(model, first.field, first.drift, back)
+    assert torch.equal(model.space.positions[labels], first.field.positions)
+    assert not drift.any()
     back[1] = -float(grid.cols[1] - grid.cols[0])
-    moved = model.space.positions[moved_labels(model, first.field, back)]
-    place, old = (p.view(*grid.shape, 3) for p in (moved, first.field.positions))
+    labels, _ = moved_pieces(model, first.field, first.drift, back)
+    place, old = (
+        p.view(*grid.shape, 3) for p in (model.space.positions[labels], first.field.positions)
+    )
     assert torch.equal(place[:, 2:], old[:, 1:-1])
+
+
+def test_pieces_are_connected() -> None:
+    grid = Grid(40, 60, 4, 4)
+    kind = (noise(1, *grid.shape)[0] > 0.4).long()
+    found = pieces(grid, torch.cat([kind.reshape(-1, 1), grid.sites], 1)).view(grid.shape)
+    ny, nx = grid.shape
+    expected = torch.arange(ny * nx).view(ny, nx)
+    for _ in range(ny * nx):  # slowly: numbers spread one window at a time
+        for dim in (0, 1):
+            one, two = (
+                expected.narrow(dim, 0, expected.shape[dim] - 1),
+                expected.narrow(dim, 1, expected.shape[dim] - 1),
+            )
+            same = kind.narrow(dim, 0, kind.shape[dim] - 1) == kind.narrow(
+                dim, 1, kind.shape[dim] - 1
+            )
+            least = torch.minimum(one, two)
+            one.copy_(torch.where(same, least, one))
+            two.copy_(torch.where(same, torch.minimum(least, two), two))
+    assert torch.equal(found, expected.unique(return_inverse=True)[1])
+
+
+def test_slow_flows_add_up() -> None:
+    frames = drawn(Uniform((0.0, 0.25)), 9, boundary="periodic")
+    gap = frames[0].texture.roll(2, 2) - frames[-1].texture
+    assert gap.square().mean().sqrt() < 0.07
 
 
 def test_rivals() -> None:

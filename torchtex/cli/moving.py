@@ -48,8 +48,12 @@ def animate(
     ],
     frames: Annotated[int, typer.Option(help="How many frames.")],
     flow_scale: Annotated[float, typer.Option(help="Makes the flow so much faster.")] = 1.0,
-    pull: Annotated[float, typer.Option(help="Strength of the flow against the texture.")] = 0.5,
-    sharpen: Annotated[float, typer.Option(help="Detail given back to moved frames, 0..1.")] = 0.2,
+    stretch: Annotated[
+        float, typer.Option(help="How far content is stretched or turned before it is made anew.")
+    ] = 0.25,
+    hold: Annotated[
+        float, typer.Option(help="How much nearer new content must be to replace old, 0..1.")
+    ] = 0.4,
     loop: Annotated[
         int, typer.Option(help="Return to the first frame over so many frames at the end.")
     ] = 0,
@@ -95,7 +99,7 @@ def animate(
     check_masks(exemplar, mask or [])
     if boundary not in ("free", "periodic"):
         raise ValueError(f"boundary={boundary!r} must be free or periodic")
-    motion = Motion(pull=pull, sharpen=sharpen)
+    motion = Motion(stretch=stretch, hold=hold)
     field = parse_flow(flow)
     moving = field if flow_scale == 1 else Scaled(field, flow_scale)
     read = read_files(exemplar, mask or [])

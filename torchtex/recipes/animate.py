@@ -1,5 +1,9 @@
 """Textures that move along a flow: frame by frame, each steered by the one before.
 
+A label per window, moved and rounded by itself, would tear coherent pieces apart: neighbors get
+offsets a pixel apart here and there, and their average is blurred. Pieces move by their mean
+motion, and what the flow asks beyond that is remembered.
+
 Source: Kwatra et al. 2005, section 4.1 and Algorithm 2; what they compare with in figure 7, and
 the regenerated texture of Neyret 2003.
 """
@@ -14,7 +18,7 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int
-from kornia.filters import gaussian_blur2d
+from numpy.typing import NDArray
 from torch import Tensor
 
 from torchtex.carry import composed, weighed_field
@@ -22,14 +26,21 @@ from torchtex.controls import SoftConstraint
 from torchtex.energy import Energy, Objective
 from torchtex.estep import ClosedForm
 from torchtex.flow.fields import Flow, Given, Scaled, Summed, check_fields
-from torchtex.flow.warps import invert, warp
+from torchtex.flow.warps import invert, jacobian, warp
 from torchtex.image import atomic_write
 from torchtex.labels import LabelField, label_arrays, label_field
-from torchtex.model import LabelSpace, Search, TextureModel, fast_search, texture_model
+from torchtex.model import LabelSpace, Search, TextureModel, fast_search, label_space, texture_model
 from torchtex.neighborhoods import Grid
+from torchtex.quadratic import threads
 from torchtex.recipes.inputs import check_seed
 from torchtex.sources import UNREADABLE
 from torchtex.synthesize import synthesize
+
+APART = 1.0
+"""A piece splits where the flow leads further than this from its mean motion, in pixels."""
+
+INSIDE = 0.02
+"""Weight of a pixel to be replaced, against 1 of those around, in the search for a patch."""
 
 VISIBLE = 0.9
 """From this confidence on a pixel is the same in both frames, and the warp error counts it."""
@@ -40,48 +51,40 @@ class Motion:
     """How a frame follows from the one before.
 
     Args:
-        sizes: windows in pixels, large before small, all at full scale.
-        steps: EM iterations of each.
-        pull: strength of the warped frame, in units of the average weight of the texture energy
-            in a pixel; 0 frees the texture, large values only warp.
-        sharpen: share of the finest detail of the warped frame that is added to it again, since
-            reading between pixels and averaging windows take it away.
+        size: of the windows that mend seams, in pixels.
+        patch: side of the squares of the exemplar that replace worn content.
+        stretch: how far content may be stretched, sheared or turned before it is made anew; 0.25
+            is a quarter, or 14 degrees. Small values keep the exemplar's shapes, large ones make
+            content live longer.
+        hold: share by which a new label has to be nearer than the one moved along. Small values
+            mend more, and make frames flat over time.
         r: robust exponent.
 
     Raises:
-        ValueError: no sizes, another number of steps, or a number out of range.
+        ValueError: a number out of range.
 
     Example:
-        >>> Motion().sizes
-        (16, 8)
+        >>> Motion().patch
+        32
     """
 
-    sizes: tuple[int, ...] = (16, 8)
-    steps: tuple[int, ...] = (1, 2)
-    pull: float = 0.5
-    sharpen: float = 0.2
+    size: int = 8
+    patch: int = 32
+    stretch: float = 0.25
+    hold: float = 0.4
     r: float = 0.8
 
     def __post_init__(self) -> None:
-        if not self.sizes or len(self.sizes) != len(self.steps):
-            raise ValueError(
-                f"sizes={self.sizes} and steps={self.steps} must be as many, at least one"
-            )
-        if min(self.sizes) < 2 or min(self.steps) < 1:
-            raise ValueError(
-                f"sizes={self.sizes} must be at least 2, steps={self.steps} at least 1"
-            )
-        if not 0 <= self.pull < math.inf:
-            raise ValueError(f"pull={self.pull} must be at least 0, and finite")
-        if not 0 <= self.sharpen <= 1:
-            raise ValueError(f"sharpen={self.sharpen} must lie in 0..1")
+        if self.size < 2:
+            raise ValueError(f"size={self.size} must be at least 2")
+        if self.patch < self.size:
+            raise ValueError(f"patch={self.patch} must be at least size={self.size}")
+        if not 0 < self.stretch < math.inf:
+            raise ValueError(f"stretch={self.stretch} must be above 0, and finite")
+        if not 0 <= self.hold <= 1:
+            raise ValueError(f"hold={self.hold} must lie in 0..1")
         if not 0 < self.r <= 2:
             raise ValueError(f"r={self.r} must lie in (0, 2]")
-
-    def steps_of(self, models: Sequence[TextureModel]) -> list[int]:
-        """EM iterations of models, by the size of their windows."""
-        steps = dict(zip(self.sizes, self.steps, strict=True))
-        return [steps[model.grid.size] for model in models]
 
 
 @dataclass(frozen=True)
@@ -97,6 +100,8 @@ class Frame:
         warp_error: root mean square difference from the warped frame before, where that is
             seen; 0 in the first.
         seconds: that it took.
+        drift: (n, 2), how far each window should be from where `field` has it.
+        wear: (h, w), how far the content of each pixel has been stretched since it was made.
     """
 
     number: int
@@ -105,6 +110,8 @@ class Frame:
     confidence: Float[Tensor, "h w"]
     warp_error: float
     seconds: float
+    drift: Float[Tensor, "n 2"]
+    wear: Float[Tensor, "h w"]
 
 
 def save_frame(path: str | Path, frame: Frame, about: str = "") -> None:
@@ -130,6 +137,8 @@ def save_frame(path: str | Path, frame: Frame, about: str = "") -> None:
             texture=frame.texture.cpu().numpy(),
             confidence=frame.confidence.cpu().numpy(),
             numbers=np.array([frame.warp_error, frame.seconds]),
+            drift=frame.drift.cpu().numpy(),
+            wear=frame.wear.cpu().numpy(),
             about=np.array(about),
             **arrays,
         )
@@ -151,12 +160,251 @@ def load_frame(path: str | Path) -> tuple[Frame, str]:
                 torch.from_numpy(file["confidence"]),
                 error,
                 seconds,
+                torch.from_numpy(file["drift"]),
+                torch.from_numpy(file["wear"]),
             )
             return frame, str(file["about"])
     except UNREADABLE as error_:
         raise ValueError(
             f"state={path} is not the state of an animation ({error_}); delete it"
         ) from None
+
+
+def pieces(grid: Grid, positions: Int[Tensor, "n 3"]) -> Int[Tensor, "n"]:
+    """Number of the piece of each window: neighbors with one offset into one exemplar.
+
+    Example:
+        >>> grid = Grid(8, 12, 4, 4)
+        >>> places = torch.cat([torch.zeros(6, 1).long(), grid.sites], 1)
+        >>> places[2, 2] += 1
+        >>> pieces(grid, places).tolist()
+        [0, 0, 1, 0, 0, 0]
+    """
+    ny, nx = grid.shape
+    offsets = positions.cpu().clone()
+    offsets[:, 1:] -= grid.sites
+    keys = offsets.view(ny, nx, 3)
+    across = (keys[:, 1:] == keys[:, :-1]).all(2)
+    down = (keys[1:] == keys[:-1]).all(2)
+    number = torch.arange(ny * nx).view(ny, nx)
+    while True:
+        least = number.clone()
+        for there, one, two in (
+            (across, least[:, :-1], least[:, 1:]),
+            (down, least[:-1], least[1:]),
+        ):
+            both = torch.minimum(one, two)
+            one.copy_(torch.where(there, both, one))
+            two.copy_(torch.where(there, torch.minimum(both, two), two))
+        flat = least.flatten()
+        # the number that a window has is itself a window, of a number at most as large: jump
+        flat = torch.minimum(
+            flat, number.flatten().scatter_reduce(0, number.flatten(), flat, "amin")
+        )
+        for _ in range(3):
+            flat = flat[flat]
+        if torch.equal(flat, number.flatten()):
+            return flat.unique(return_inverse=True)[1]
+        number = flat.view(ny, nx)
+
+
+def moved_pieces(
+    model: TextureModel,
+    field: LabelField,
+    drift: Float[Tensor, "m 2"],
+    backward: Float[Tensor, "2 h w"],
+) -> tuple[Int[Tensor, "n"], Float[Tensor, "n 2"]]:
+    """Labels of a model's sites taken over from a label field, moved along a flow.
+
+    A site takes the label of the window nearest to where its centre came from, shifted by the
+    distance between the two, and by the mean of that over its piece.
+
+    Args:
+        drift: how far each window of `field` should already be from where it is.
+        backward: where each pixel came from, from its own place.
+
+    Returns:
+        Labels, and the drift of each.
+
+    Example:
+        >>> z = torch.rand(1, 16, 16)
+        >>> model = texture_model([z], Grid(12, 12, 4, 2))
+        >>> where = torch.cat([torch.zeros(25, 1).long(), model.grid.sites + 2], 1)
+        >>> field = LabelField(model.grid, where, torch.ones(25), ((16, 16),))
+        >>> back = torch.full((2, 12, 12), 0.75)
+        >>> labels, drift = moved_pieces(model, field, torch.zeros(25, 2), back)
+        >>> model.space.positions[labels[0]].tolist(), drift[0].tolist()
+        ([0, 3, 3], [-0.25, -0.25])
+    """
+    grid, old = model.grid, field.grid
+    device = field.positions.device
+    sites = grid.sites.to(device)
+    at = (sites + grid.size // 2) % torch.tensor([grid.height, grid.width], device=device)
+    spot = sites.double() + grid.size / 2 + backward[:, at[:, 0], at[:, 1]].T.double()
+    picks, shifts = [], []
+    for axis, starts in enumerate((old.rows, old.cols)):
+        extent = (old.height, old.width)[axis]
+        gaps = spot[:, axis, None] - (starts.to(device) + old.size / 2)[None]
+        if old.periodic:
+            gaps = (gaps + extent / 2) % extent - extent / 2
+        pick = gaps.abs().argmin(1)
+        picks.append(pick)
+        shifts.append(gaps.gather(1, pick[:, None])[:, 0])
+    source = picks[0] * old.shape[1] + picks[1]
+    place = field.positions[source]
+    wished = place[:, 1:] + drift[source].double() + torch.stack(shifts, 1)
+    wished = wished + (old.size - grid.size) / 2
+    group = pieces(old, field.positions)[source.cpu()].numpy()
+    start = sites + _rigid((wished - sites).cpu().numpy(), group).to(device)
+    limits = torch.tensor(field.shapes, device=device)[place[:, 0]] - grid.size
+    start = torch.minimum(start.clamp(min=0), limits)
+    labels = model.space.at(torch.cat([place[:, :1], start], 1))
+    rest = (wished - start).clamp(-3 * APART, 3 * APART)
+    return labels.clamp(min=0), rest  # a mask may leave label 0; the search finds a better one
+
+
+def _rigid(offsets: NDArray[np.float64], group: NDArray[np.int64]) -> Int[Tensor, "n 2"]:
+    """The mean offset of each group, rounded; groups that spread too far are split."""
+    far = np.round((offsets - _mean(offsets, group)) / (2 * APART)).astype(np.int64)
+    # wrapped windows of a periodic grid make groups spread by whole extents, and split there
+    keys = np.concatenate([group[:, None], far], 1)
+    split = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
+    return torch.from_numpy(np.round(_mean(offsets, split)).astype(np.int64))
+
+
+def _mean(
+    values: NDArray[np.float64],
+    group: NDArray[np.int64],
+    counted: NDArray[np.float64] | None = None,
+) -> NDArray[np.float64]:
+    """Mean of each group, at each of its members; 0 where none counts."""
+    one = np.ones(len(group)) if counted is None else counted
+    count = np.maximum(np.bincount(group, one), 1)
+    return np.stack([(np.bincount(group, v * one) / count)[group] for v in values.T], 1)
+
+
+def joined_drift(
+    field: LabelField, drift: Float[Tensor, "n 2"], stayed: Tensor
+) -> Float[Tensor, "n 2"]:
+    """The drift of windows that stayed, and for others the mean over those of their piece.
+
+    Example:
+        >>> grid = Grid(4, 8, 4, 4)
+        >>> places = torch.cat([torch.zeros(2, 1).long(), grid.sites], 1)
+        >>> field = LabelField(grid, places, torch.ones(2), ((4, 8),))
+        >>> drift = torch.tensor([[0.5, 0.0], [9.0, 9.0]], dtype=torch.float64)
+        >>> joined_drift(field, drift, torch.tensor([True, False])).tolist()
+        [[0.5, 0.0], [0.5, 0.0]]
+    """
+    group = pieces(field.grid, field.positions).numpy()
+    kept = stayed.cpu().numpy().astype(np.float64)
+    mean = torch.from_numpy(_mean(drift.cpu().double().numpy(), group, kept)).to(drift)
+    return torch.where(stayed[:, None], drift, mean)
+
+
+@dataclass(frozen=True)
+class Patches:
+    """Squares of the exemplars that replace what is worn out; built by `patches_of`.
+
+    Args:
+        side: of a patch.
+        ring: pixels around it that have to fit.
+        space: places of patches with their rings.
+        exemplars: they.
+        periodic: frames are tiles.
+    """
+
+    side: int
+    ring: int
+    space: LabelSpace
+    exemplars: Sequence[Tensor]
+    periodic: bool
+
+    def renew(
+        self, image: Float[Tensor, "c h w"], wear: Float[Tensor, "h w"], limit: float, most: int
+    ) -> tuple[Float[Tensor, "h w"], list[tuple[int, int, int, int, int]]]:
+        """Puts patches where the wear is above the limit, the most worn first.
+
+        Returns:
+            The wear left, 0 in patches; and of each patch its row and column in the image and
+            the exemplar, row and column that it shows there.
+        """
+        wear, image, done = wear.clone(), image.clone(), []
+        h, w = wear.shape
+        half, box = max(1, self.side // 2), self.side + 2 * self.ring
+        every = torch.arange(box, device=image.device)
+        for _ in range(most):
+            mean = F.avg_pool2d(wear[None, None], half, 1)[0, 0]
+            top = int(mean.argmax())
+            if float(mean.flatten()[top]) <= limit:
+                break
+            corner = []
+            for start, extent in zip(divmod(top, mean.shape[1]), (h, w), strict=True):
+                first = start - (self.side - half) // 2
+                corner.append(
+                    first % extent if self.periodic else min(max(first, 0), extent - self.side)
+                )
+            begin = [
+                (first - self.ring) % extent
+                if self.periodic
+                else min(max(first - self.ring, 0), extent - box)
+                for first, extent in zip(corner, (h, w), strict=True)
+            ]
+            inner = [(first - b) % e for first, b, e in zip(corner, begin, (h, w), strict=True)]
+            rows, cols = ((b + every) % e for b, e in zip(begin, (h, w), strict=True))
+            here = rows[:, None], cols[None]
+            patch = slice(inner[0], inner[0] + self.side), slice(inner[1], inner[1] + self.side)
+            weight = (wear[here] <= limit).to(image)
+            weight[patch] *= INSIDE
+            which, row, col = self._nearest(image[:, rows[:, None], cols[None]], weight + 1e-3)
+            row, col = row + inner[0], col + inner[1]
+            at = rows[patch[0]][:, None], cols[patch[1]][None]
+            shown = self.exemplars[which][:, row : row + self.side, col : col + self.side]
+            image[:, at[0], at[1]] = shown
+            wear[at] = 0
+            done.append((corner[0], corner[1], which, row, col))
+        return wear, done
+
+    def _nearest(self, wished: Tensor, weight: Tensor) -> tuple[int, int, int]:
+        best, found = float("inf"), (0, 0, 0)
+        box = len(weight)
+        for number, (z, table) in enumerate(zip(self.exemplars, self.space.tables, strict=True)):
+            if min(z.shape[1:]) < box:
+                continue
+            with threads(1):  # sums depend on their number
+                energy = F.conv2d(z.square().sum(0)[None, None], weight[None, None])[0, 0]
+                cost = energy - 2 * F.conv2d(z[None], (wished * weight)[None])[0, 0]
+            free = table[: cost.shape[0], : cost.shape[1]] >= 0
+            cost = torch.where(free, cost, torch.full_like(cost, torch.inf))
+            least = int(cost.argmin())
+            if float(cost.flatten()[least]) < best:
+                best, found = float(cost.flatten()[least]), (number, *divmod(least, cost.shape[1]))
+        return found
+
+
+def patches_of(
+    exemplars: Sequence[Float[Tensor, "c _ _"]],
+    masks: Sequence[Tensor | None] | None,
+    grid: Grid,
+    side: int,
+) -> Patches | None:
+    """Patches of at most that side that fit the exemplars, their masks and a frame; else None.
+
+    Example:
+        >>> patches_of([torch.rand(1, 64, 64)], None, Grid(64, 64, 8, 2), 32).side
+        32
+    """
+    least = min(grid.height, grid.width, max(min(z.shape[1:]) for z in exemplars))
+    side = min(side, least // 2)
+    shapes = [(z.shape[1], z.shape[2]) for z in exemplars]
+    while side >= grid.size:
+        ring = max(grid.size // 2, side // 3)
+        if side + 2 * ring <= least:
+            space = label_space(shapes, side + 2 * ring, masks, device=exemplars[0].device)
+            if len(space):
+                return Patches(side, ring, space, exemplars, grid.periodic)
+        side = side * 3 // 4
+    return None
 
 
 def animate(
@@ -176,10 +424,10 @@ def animate(
 ) -> Iterator[Frame]:
     """Frames of a texture that moves along a flow and stays a texture; made as they are asked for.
 
-    The first frame is a synthesis. Every other starts from the last one, moved by the flow, and
-    is held to it where the flow says that a pixel was already to be seen. New labels compete with
-    those of the last frame, moved along: the exemplar's own orientation and size are kept, since
-    labels are shifted and not turned.
+    The first frame is a synthesis. Every other shows the pieces of the exemplar that the last one
+    shows, moved by the flow as wholes, with the exemplar's own orientation and size. Where that
+    has worn them out, or the flow brings in new pixels, patches of the exemplar that fit their
+    surroundings replace them, and small windows mend the seams.
 
     Memory does not grow with the number of frames.
 
@@ -239,10 +487,11 @@ def _frames(
     zs = [exemplars] if isinstance(exemplars, Tensor) else list(exemplars)
     keep = [masks] if isinstance(masks, Tensor) else masks
     periodic = boundary == "periodic"
-    models: list[TextureModel] = []
+    model: TextureModel | None = None
+    patches: Patches | None = None
     frame, home = resume, None
     if frame is None or loop:
-        first = _first(zs, size, masks, periodic, search, seed)
+        first = _first(zs, size, masks, motion, periodic, search, seed)
         home = _Home(first.texture, flow, frames, loop, periodic) if loop else None
         if frame is None:
             frame = first
@@ -253,9 +502,10 @@ def _frames(
     for number in range(frame.number + 1, frames):
         began = time.perf_counter()
         field = _field_at(flow, number - 1, size).to(frame.texture)
-        if not models:
-            models = _models(zs, keep, size, motion, periodic, search, seed)
-        frame = _next(frame, number, field, models, zs, motion, home, began)
+        if model is None:
+            model = _model(zs, keep, size, motion, periodic, search, seed)
+            patches = patches_of(zs, keep, model.grid, motion.patch)
+        frame = _next(frame, number, field, model, patches, zs, motion, home, began)
         if on_frame is not None:
             on_frame(frame)
         yield frame
@@ -265,6 +515,7 @@ def _first(
     zs: Sequence[Tensor],
     size: tuple[int, int],
     masks: Tensor | Sequence[Tensor | None] | None,
+    motion: Motion,
     periodic: bool,
     search: Search | None,
     seed: int,
@@ -273,10 +524,18 @@ def _first(
         zs, size, masks=masks, boundary="periodic" if periodic else "free", search=search, seed=seed
     )
     seen = torch.zeros(size).to(still.texture)
-    return Frame(0, still.texture, still.field, seen, 0.0, still.seconds)
+    drift = torch.zeros(len(still.field.positions), 2, dtype=torch.float64)
+    # worn differently, or all of the first frame would be made anew at once
+    generator = torch.Generator().manual_seed(seed)
+    cells = torch.rand(1, -(-size[0] // 24), -(-size[1] // 24), generator=generator)
+    wear = cells.repeat_interleave(24, 1).repeat_interleave(24, 2)[0, : size[0], : size[1]].double()
+    return Frame(
+        0, still.texture, still.field, seen, 0.0, still.seconds, drift.to(seen.device),
+        (motion.stretch * wear).to(seen.device),
+    )  # fmt: skip
 
 
-def _models(
+def _model(
     zs: Sequence[Tensor],
     masks: Sequence[Tensor | None] | None,
     size: tuple[int, int],
@@ -284,65 +543,117 @@ def _models(
     periodic: bool,
     search: Search | None,
     seed: int,
-) -> list[TextureModel]:
-    """One per window size; the indices over the exemplars are built once for all frames."""
-    small = min(*size, max(min(z.shape[1:]) for z in zs))
-    fitting = [window for window in motion.sizes if window <= small]
-    if not fitting:
+) -> TextureModel:
+    """Exemplars and their index, made ready once for all frames."""
+    if motion.size > min(*size, max(min(z.shape[1:]) for z in zs)):
         raise ValueError(
-            f"sizes={motion.sizes}: no window fits an exemplar and frames of "
-            f"{size[0]}x{size[1]}; choose smaller ones"
+            f"size={motion.size}: no window fits an exemplar and frames of {size[0]}x{size[1]}; "
+            "choose a smaller one"
         )
-    generator = torch.Generator().manual_seed(seed)
-    return [
-        texture_model(
-            zs, Grid(*size, window, max(1, window // 4), periodic),
-            search=fast_search() if search is None else search, r=motion.r, masks=masks,
-            generator=generator,
-        )
-        for window in fitting
-    ]  # fmt: skip
+    return texture_model(
+        zs, Grid(*size, motion.size, max(1, motion.size // 4), periodic),
+        search=fast_search() if search is None else search, r=motion.r, masks=masks,
+        generator=torch.Generator().manual_seed(seed),
+    )  # fmt: skip
 
 
 def _next(
     last: Frame,
     number: int,
     flow: Tensor,
-    models: Sequence[TextureModel],
+    model: TextureModel,
+    patches: Patches | None,
     zs: Sequence[Tensor],
     motion: Motion,
     home: "_Home | None",
     began: float,
 ) -> Frame:
-    """Algorithm 2 on one frame."""
-    periodic = models[0].grid.periodic
-    backward, confidence = invert(flow, periodic=periodic)
-    backward, confidence = backward.to(last.texture), confidence.to(last.texture)
+    """Pieces moved, what is worn out replaced, seams mended."""
+    periodic = model.grid.periodic
+    backward, seen = invert(flow, periodic=periodic)
+    backward, confidence = backward.to(last.texture), seen.to(last.texture)
     warped = warp(last.texture, backward, periodic=periodic).clamp(0, 1)
-    wished = _sharpened(warped, motion.sharpen, periodic)
-    x, field, estep = wished, last.field, ClosedForm()
-    for model, steps in zip(models, motion.steps_of(models), strict=True):
-        labels = moved_labels(model, field, backward if field is last.field else None)
-        # labels are carried, not pixels: those of the exemplar are sharp, moved ones are not
+    moved, drift = moved_pieces(model, last.field, last.drift, backward)
+    # labels are carried, not pixels: those of the exemplar are sharp, moved ones are not
+    x = composed(_placed(model, moved), warped, zs)
+    wear = _worn(last.wear, flow, backward, periodic)
+    wear = torch.where(_lost(model, drift), 2 * motion.stretch, wear)
+    labels, fresh = moved, torch.zeros_like(moved, dtype=torch.bool)
+    if patches is not None:
+        most = max(4, 3 * wear.numel() // (4 * patches.side**2) // 4)
+        wear, done = patches.renew(x, wear, motion.stretch, most)
+        wear = wear.clamp(max=motion.stretch)
+        for patch in done:
+            labels, confidence, here = _patched(model, labels, confidence, patch, patches.side)
+            fresh = fresh | here
         x = composed(_placed(model, labels), x, zs)
-        for _ in range(steps):
+    labels = _nearer(model, x, labels, motion.hold)
+    controls = [] if home is None else home.controls(number, float(_weight(model, labels, x)))
+    if controls:  # on the way home pixels are pulled, and labels follow
+        for _ in range(2):
+            x = ClosedForm()(Objective(((1.0, model.energy(labels)), *controls)), x)
             labels = model.match(x, labels)
-            pull = motion.pull * float(_weight(model, labels, x))
-            controls: list[tuple[float, Energy]] = [(pull, SoftConstraint(wished, confidence))]
-            if home is not None:
-                controls += home.controls(number, pull)
-            x = estep(Objective(((1.0, model.energy(labels)), *controls)), x)
-        field = weighed_field(model, labels, x, zs)
-    texture = x.clamp(0, 1)
-    seconds = time.perf_counter() - began
+    field = weighed_field(model, labels, x, zs)
+    drift = joined_drift(field, drift, (labels == moved) & ~fresh)
+    texture = (x if controls else composed(field, x, zs)).clamp(0, 1)
     error = warp_error(texture, warped, confidence)
-    return Frame(number, texture, field, confidence, error, seconds)
+    seconds = time.perf_counter() - began
+    return Frame(number, texture, field, confidence, error, seconds, drift, wear)
 
 
-def _sharpened(image: Tensor, share: float, periodic: bool) -> Tensor:
-    padded = F.pad(image[None], (1, 1, 1, 1), mode="circular" if periodic else "replicate")
-    blurred = gaussian_blur2d(padded, (3, 3), (0.8, 0.8))[0, :, 1:-1, 1:-1]
-    return (image + share * (image - blurred)).clamp(0, 1)
+def _worn(wear: Tensor, flow: Tensor, backward: Tensor, periodic: bool) -> Tensor:
+    """The wear moved along, and more where the flow does not just shift."""
+    unit = torch.eye(2, dtype=torch.float64, device=flow.device)[:, :, None, None]
+    change = (jacobian(flow.double(), periodic=periodic) - unit).square().sum((0, 1)) / 2
+    more = (wear + change.sqrt())[None]
+    return warp(more, backward.double(), periodic=periodic, cubic=False)[0]
+
+
+def _lost(model: TextureModel, drift: Tensor) -> Tensor:
+    """Pixels whose window cannot follow, since its exemplar ends there."""
+    grid = model.grid
+    far = (drift.abs() > 2 * APART).any(1).view(grid.shape)
+    near = []
+    for starts, extent in ((grid.rows, grid.height), (grid.cols, grid.width)):
+        centres = starts + (grid.size - 1) / 2
+        near.append((torch.arange(extent)[:, None] - centres[None]).abs().argmin(1))
+    return far[near[0].to(far.device)[:, None], near[1].to(far.device)[None]]
+
+
+def _patched(
+    model: TextureModel,
+    labels: Tensor,
+    confidence: Tensor,
+    patch: tuple[int, int, int, int, int],
+    side: int,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Labels with those of a patch, the confidence without it, and which labels are its own."""
+    grid = model.grid
+    first, extent = torch.tensor(patch[:2]), torch.tensor([grid.height, grid.width])
+    gap = (grid.sites + grid.size // 2 - first) % extent
+    here = (gap < side).all(1).to(labels.device)
+    place = torch.cat(
+        [torch.full((len(gap), 1), patch[2]), gap - grid.size // 2 + torch.tensor(patch[3:])], 1
+    )
+    found = model.space.at(place.to(labels.device))
+    here &= found >= 0
+    rows, cols = ((first[k] + torch.arange(side)) % extent[k] for k in (0, 1))
+    confidence = confidence.clone()
+    confidence[rows[:, None], cols[None]] = 0
+    return torch.where(here, found, labels), confidence, here
+
+
+def _nearer(model: TextureModel, x: Tensor, labels: Tensor, hold: float) -> Tensor:
+    """The M-step, but a label stays unless the new one is nearer by that share."""
+    found = model.match(x, labels)
+    channels, nx = model.windows.channels(x), model.grid.shape[1]
+    better = []
+    for band in model.windows.bands:
+        some = slice(band.start * nx, band.stop * nx)
+        queries = model.windows.vectors(channels, band)
+        old, new = ((queries - model.targets(one[some])).square().sum(1) for one in (labels, found))
+        better.append((new < (1 - hold) * old) & (old > model.eps**2 / 2))
+    return torch.where(torch.cat(better), found, labels)
 
 
 def _placed(model: TextureModel, labels: Tensor) -> LabelField:
@@ -357,57 +668,6 @@ def _weight(model: TextureModel, labels: Tensor, x: Tensor) -> Tensor:
     energy = model.energy(labels)
     weights = energy.site_weights(energy.distances(x))
     return weights.median() * len(weights) * model.grid.size**2 / (x.shape[1] * x.shape[2])
-
-
-def moved_labels(
-    model: TextureModel, field: LabelField, backward: Float[Tensor, "2 h w"] | None = None
-) -> Int[Tensor, "n"]:
-    """Labels of a model's sites taken over from a label field, moved along a flow.
-
-    A site takes the label of the window nearest to where its centre came from, shifted by the
-    distance between the two. Where that leaves the exemplar it is shifted back inside.
-
-    Args:
-        backward: where each pixel came from, from its own place; None for no motion.
-
-    Example:
-        >>> z = torch.rand(1, 16, 16)
-        >>> model = texture_model([z], Grid(12, 12, 4, 2))
-        >>> where = torch.cat([torch.zeros(25, 1).long(), model.grid.sites + 2], 1)
-        >>> field = LabelField(model.grid, where, torch.ones(25), ((16, 16),))
-        >>> bool((model.space.positions[moved_labels(model, field)] == where).all())
-        True
-    """
-    grid, old = model.grid, field.grid
-    device = field.positions.device
-    sites = grid.sites.to(device)
-    centre = sites.double() + grid.size / 2
-    spot = centre
-    if backward is not None:
-        at = (sites + grid.size // 2) % torch.tensor([grid.height, grid.width], device=device)
-        spot = centre + backward[:, at[:, 0], at[:, 1]].T.double()
-    picks, shifts = [], []
-    for axis, starts in enumerate((old.rows, old.cols)):
-        extent = (old.height, old.width)[axis]
-        gaps = spot[:, axis, None] - (starts.to(device) + old.size / 2)[None]
-        if old.periodic:
-            gaps = (gaps + extent / 2) % extent - extent / 2
-        pick = gaps.abs().argmin(1)
-        picks.append(pick)
-        shifts.append(gaps.gather(1, pick[:, None])[:, 0])
-    place = field.positions.view(*old.shape, 3)[picks[0], picks[1]]
-    which = place[:, 0]
-    shift = torch.stack(shifts, 1) + (old.size - grid.size) / 2
-    limits = torch.tensor(field.shapes, device=device)[which] - grid.size
-    start = (place[:, 1:] + shift).round().long().clamp(min=0)
-    start = torch.minimum(start, limits)
-    labels = model.space.at(torch.cat([which[:, None], start], 1))
-    return _inside(model.space, labels)
-
-
-def _inside(space: LabelSpace, labels: Tensor) -> Tensor:
-    """Label 0 where a mask or a small exemplar leaves none; the search finds a better one."""
-    return labels.clamp(min=0)
 
 
 def warp_error(
