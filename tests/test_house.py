@@ -49,8 +49,8 @@ FLOORS = (
         "schedule",
         "starts",
         "carry",
+        "inputs",
         "recipes.montage",
-        "recipes.inputs",
         "recipes.correspondence",
         "recipes.strokes",
     ),
@@ -117,6 +117,12 @@ def test_no_module_imports_one_of_its_own_floor_or_above(name: str) -> None:
     floors = {other: floor_of(other) for other in found if other}
     above = {other for other, floor in floors.items() if floor is None or floor >= own}
     assert not above, f"{name} is on floor {own} and imports {above}"
+
+
+@pytest.mark.parametrize("name", [name for name in MODULES if "." not in name])
+def test_no_module_of_the_core_imports_a_recipe_or_a_command(name: str) -> None:
+    found = set(imports((FOLDER / f"{name}.py").read_text(encoding="utf-8")))
+    assert not {other for other in found if other.split(".")[0] in ("recipes", "cli")}
 
 
 def test_public_names_are_those_recorded_here() -> None:

@@ -17,14 +17,14 @@ from torchtex.energy import Energy
 from torchtex.estep import Auto, EStep
 from torchtex.features import Feature, Pixels
 from torchtex.image import check_image, resize
-from torchtex.model import Search, fast_search, texture_model
-from torchtex.recipes.inputs import (
+from torchtex.inputs import (
     Exemplars,
     Masks,
     check_exemplars,
     check_size,
     matching_masks,
 )
+from torchtex.model import Search, fast_search, texture_model
 from torchtex.result import Checkpoint, Progress, Result, Trace
 from torchtex.schedule import (
     Level,

@@ -28,11 +28,11 @@ from torchtex.estep import ClosedForm
 from torchtex.flow.fields import Flow, Given, Scaled, Summed, check_fields
 from torchtex.flow.warps import invert, jacobian, warp
 from torchtex.image import atomic_write
+from torchtex.inputs import check_seed
 from torchtex.labels import LabelField, label_arrays, label_field
 from torchtex.model import LabelSpace, Search, TextureModel, fast_search, label_space, texture_model
 from torchtex.neighborhoods import Grid
 from torchtex.quadratic import threads
-from torchtex.recipes.inputs import check_seed
 from torchtex.sources import UNREADABLE
 from torchtex.synthesize import synthesize
 

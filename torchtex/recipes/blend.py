@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchtex.cuts.poisson import Boundary, gradients, solve
 from torchtex.cuts.poisson import mixed as mixed_gradients
-from torchtex.recipes.inputs import check_pair
+from torchtex.inputs import check_pair
 
 
 @dataclass(frozen=True)

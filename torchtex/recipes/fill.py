@@ -29,9 +29,9 @@ from torchtex.energy import Objective
 from torchtex.estep import Auto
 from torchtex.features import Feature
 from torchtex.image import resize
+from torchtex.inputs import check_exemplars, check_not_negative, check_seed
 from torchtex.model import Search, label_space
 from torchtex.neighborhoods import Grid
-from torchtex.recipes.inputs import check_exemplars, check_not_negative, check_seed
 from torchtex.recipes.montage import Montage, Stage
 from torchtex.result import Progress
 from torchtex.schedule import Level, default_schedule

@@ -19,9 +19,7 @@ from torch.nn.functional import avg_pool2d, pad
 from torchtex.cuts.mincut import MinCut, default_solver
 from torchtex.cuts.poisson import Guidance, solve
 from torchtex.cuts.seams import cut_patch, patch_views, present_seams
-from torchtex.patches import SsdSearch, box_sums, pick_soft, ssd_canvas, ssd_search, summed_area
-from torchtex.quadratic import threads
-from torchtex.recipes.inputs import (
+from torchtex.inputs import (
     Exemplars,
     Masks,
     check_not_negative,
@@ -30,6 +28,8 @@ from torchtex.recipes.inputs import (
     memory_of,
     usable_exemplars,
 )
+from torchtex.patches import SsdSearch, box_sums, pick_soft, ssd_canvas, ssd_search, summed_area
+from torchtex.quadratic import threads
 from torchtex.recipes.montage import Montage, Stage
 from torchtex.sources import copied
 

@@ -29,8 +29,8 @@ from torch import Tensor
 
 from torchtex.cuts.mincut import MinCut, default_solver
 from torchtex.cuts.poisson import Guidance, solve
+from torchtex.inputs import check_pair
 from torchtex.quadratic import threads
-from torchtex.recipes.inputs import check_pair
 from torchtex.recipes.montage import Montage, Stage
 from torchtex.recipes.strokes import Placed, Stroke, distance, place
 from torchtex.sources import copied

@@ -17,8 +17,8 @@ from torch import Tensor
 from torchtex.controls import Guide
 from torchtex.features import Feature
 from torchtex.image import check_image, luminance
+from torchtex.inputs import check_not_negative, check_seed, usable_exemplars
 from torchtex.model import Search
-from torchtex.recipes.inputs import check_not_negative, check_seed, usable_exemplars
 from torchtex.result import Progress, Result
 from torchtex.schedule import Level
 from torchtex.synthesize import synthesize

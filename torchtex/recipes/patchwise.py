@@ -12,11 +12,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchtex.model import LabelSpace
-from torchtex.patches import SsdSearch, pick, ssd_exhaustive, ssd_search
-from torchtex.qtp import Qtp, QtpIndex
-from torchtex.quadratic import threads
-from torchtex.recipes.inputs import (
+from torchtex.inputs import (
     Exemplars,
     Layout,
     Masks,
@@ -29,6 +25,10 @@ from torchtex.recipes.inputs import (
     places_of,
     usable_exemplars,
 )
+from torchtex.model import LabelSpace
+from torchtex.patches import SsdSearch, pick, ssd_exhaustive, ssd_search
+from torchtex.qtp import Qtp, QtpIndex
+from torchtex.quadratic import threads
 from torchtex.recipes.montage import Montage, Stage
 from torchtex.sources import SourceField
 

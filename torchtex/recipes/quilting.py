@@ -17,12 +17,7 @@ from torchtex.cuts.mincut import MinCut
 from torchtex.cuts.paths import quilt_cut, quilt_mask
 from torchtex.cuts.seams import patch_views
 from torchtex.image import check_image
-from torchtex.model import LabelSpace
-from torchtex.patches import SsdSearch, pick, ssd_search
-from torchtex.quadratic import threads
-from torchtex.recipes.correspondence import Correspondence as Correspondence
-from torchtex.recipes.correspondence import blurred_luminance
-from torchtex.recipes.inputs import (
+from torchtex.inputs import (
     Exemplars,
     Layout,
     Masks,
@@ -35,6 +30,11 @@ from torchtex.recipes.inputs import (
     places_of,
     usable_exemplars,
 )
+from torchtex.model import LabelSpace
+from torchtex.patches import SsdSearch, pick, ssd_search
+from torchtex.quadratic import threads
+from torchtex.recipes.correspondence import Correspondence as Correspondence
+from torchtex.recipes.correspondence import blurred_luminance
 from torchtex.recipes.montage import Montage, Stage
 from torchtex.sources import copied
 

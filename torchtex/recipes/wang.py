@@ -26,8 +26,8 @@ from torch import Tensor
 from torchtex import image as images
 from torchtex.cuts.mincut import MinCut
 from torchtex.image import check_image
+from torchtex.inputs import check_seed, check_size, memory_of
 from torchtex.patches import box_sums, summed_area
-from torchtex.recipes.inputs import check_seed, check_size, memory_of
 from torchtex.recipes.montage import Montage, Stage
 from torchtex.recipes.tile_parts import (
     EAST,

@@ -9,8 +9,8 @@ import torch
 from conftest import noise
 from torch import Tensor
 
-from torchtex.recipes import inputs
-from torchtex.recipes.inputs import (
+from torchtex import inputs
+from torchtex.inputs import (
     Layout,
     check_seed,
     check_size,

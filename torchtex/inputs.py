@@ -1,4 +1,4 @@
-"""What recipes are given: exemplars, masks, sizes and seeds checked; places for blocks."""
+"""What is given: exemplars, masks, sizes and seeds checked; places for blocks."""
 
 import os
 from collections.abc import Sequence
