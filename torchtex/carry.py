@@ -10,6 +10,7 @@ from torchtex.image import resize
 from torchtex.labels import LabelField
 from torchtex.model import TextureModel, label_space
 from torchtex.neighborhoods import Grid
+from torchtex.sources import copied
 
 
 def carried(
@@ -49,18 +50,13 @@ def weighed_field(
     return LabelField(model.grid, model.space.positions[labels], weights, shapes)
 
 
-def composed(field: LabelField, x: Tensor, exemplars: Sequence[Tensor]) -> Tensor:
+def composed(field: LabelField, exemplars: Sequence[Tensor]) -> Tensor:
     """Every pixel from the window that weighs most: sharp, with seams for the next level to mend.
 
     Where large windows disagree their mean is blurred, and the small windows that follow would
     match the blur to whatever is flat in the exemplar.
     """
-    which, row, col = field.source_map().unbind(-1)
-    whole = torch.empty_like(x)
-    for number, z in enumerate(exemplars):
-        here = which == number
-        whole[:, here] = z[:, row[here], col[here]]
-    return whole
+    return copied(field.source_map(), field.shapes).apply(exemplars)
 
 
 def _carried_positions(

@@ -158,7 +158,7 @@ def synthesize(
             else:
                 x = resize(state.texture, (grid.height, grid.width))
         elif carry and level.scale == 1 and not controls:
-            x = composed(field, state.texture, smaller)
+            x = composed(field, smaller)
         else:
             x = state.texture
         model = texture_model(

@@ -575,7 +575,7 @@ def _next(
     warped = warp(last.texture, backward, periodic=periodic).clamp(0, 1)
     moved, drift = moved_pieces(model, last.field, last.drift, backward)
     # labels are carried, not pixels: those of the exemplar are sharp, moved ones are not
-    x = composed(_placed(model, moved), warped, zs)
+    x = composed(_placed(model, moved), zs)
     wear = _worn(last.wear, flow, backward, periodic)
     wear = torch.where(_lost(model, drift), 2 * motion.stretch, wear)
     labels, fresh = moved, torch.zeros_like(moved, dtype=torch.bool)
@@ -586,16 +586,19 @@ def _next(
         for patch in done:
             labels, confidence, here = _patched(model, labels, confidence, patch, patches.side)
             fresh = fresh | here
-        x = composed(_placed(model, labels), x, zs)
+        if done:
+            x = composed(_placed(model, labels), zs)
     labels = _nearer(model, x, labels, motion.hold)
-    controls = [] if home is None else home.controls(number, float(_weight(model, labels, x)))
+    controls: list[tuple[float, Energy]] = []
+    if home is not None and home.share(number) > 0:
+        controls.append(home.control(number, float(_weight(model, labels, x))))
     if controls:  # on the way home pixels are pulled, and labels follow
         for _ in range(2):
             x = ClosedForm()(Objective(((1.0, model.energy(labels)), *controls)), x)
             labels = model.match(x, labels)
     field = weighed_field(model, labels, x, zs)
     drift = joined_drift(field, drift, (labels == moved) & ~fresh)
-    texture = (x if controls else composed(field, x, zs)).clamp(0, 1)
+    texture = (x if controls else composed(field, zs)).clamp(0, 1)
     error = warp_error(texture, warped, confidence)
     seconds = time.perf_counter() - began
     return Frame(number, texture, field, confidence, error, seconds, drift, wear)
@@ -697,12 +700,13 @@ class _Home:
     loop: int
     periodic: bool
 
-    def controls(self, number: int, pull: float) -> list[tuple[float, Energy]]:
+    def share(self, number: int) -> float:
+        """How far the way back is at a frame; not above 0 before it begins."""
+        return (number - (self.frames - 1 - self.loop)) / (self.loop + 1)
+
+    def control(self, number: int, pull: float) -> tuple[float, Energy]:
         """A constraint that grows from nothing to all over the last frames."""
-        share = (number - (self.frames - 1 - self.loop)) / (self.loop + 1)
-        if share <= 0:
-            return []
-        image = self.first
+        share, image = self.share(number), self.first
         confidence = torch.ones_like(image[0])
         size = (image.shape[1], image.shape[2])
         for step in reversed(range(number, self.frames)):
@@ -712,7 +716,7 @@ class _Home:
             confidence = warp(confidence[None], field, periodic=self.periodic, cubic=False)[0]
             confidence = confidence * _kept(field, self.periodic)
         weight = 4 * pull * share / max(1 - share, 1e-3)
-        return [(weight, SoftConstraint(image, confidence.clamp(0, 1)))]
+        return weight, SoftConstraint(image, confidence.clamp(0, 1))
 
 
 def _kept(field: Tensor, periodic: bool) -> Tensor:
