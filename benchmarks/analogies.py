@@ -29,14 +29,14 @@ from importlib.metadata import version
 from pathlib import Path
 
 import torch
-from bench import _commit as commit
+from common import commit
 from exemplars import SHARED, load
 from PIL import Image, ImageDraw, ImageFont
 from tables import table
 
 from torchtex import image as images
 from torchtex import metrics
-from torchtex.recipes.analogy import Analogy, energy, match_luminance
+from torchtex.recipes.analogy import Analogy, energy, luminance_matched
 from torchtex.recipes.cms import cms
 from torchtex.recipes.image_analogies import image_analogies
 from torchtex.recipes.rivals import (
@@ -80,10 +80,8 @@ def problem_of(folder: Path) -> Analogy:
     """The analogy in a folder; the source's lightness is matched where the kind asks for it."""
     names = ("source", "mapped", "constraint")
     source, mapped, constraint = (load(folder / f"{name}.png") for name in names)
-    if settings_of(folder.name).match:
-        source = match_luminance(source, constraint, by=mapped)
-        mapped = match_luminance(mapped, constraint)
-    return Analogy.of(source, mapped, constraint)
+    problem = Analogy.of(source, mapped, constraint)
+    return luminance_matched(problem) if settings_of(folder.name).match else problem
 
 
 def made(method: str, problem: Analogy, use: Settings, seconds: float):

@@ -15,7 +15,6 @@ from pathlib import Path
 
 import torch
 from common import add_arguments, environment, measured, photo_files, photos_of, timed
-from common import commit as _commit  # noqa: F401
 from exemplars import crop, load
 from tables import render
 

@@ -59,7 +59,7 @@ def test_all_that_is_kept_between_moves_equals_a_count_from_scratch(
     make: Callable[[], Analogy],
 ) -> None:
     problem, checked = make(), 0
-    canvas = module._Canvas(problem, variants(problem), 0.8, 2, PyMaxflow())
+    canvas = module.Canvas(problem, variants(problem), 0.8, 2, PyMaxflow())
     run = module._Run(canvas, 3, 5, torch.Generator().manual_seed(0), None)
 
     def step(_: Stage) -> None:
@@ -80,7 +80,7 @@ def test_all_that_is_kept_between_moves_equals_a_count_from_scratch(
 
 def test_search_equals_the_improvement_by_its_definition() -> None:
     problem, K, N = several(), 0.8, 2
-    canvas = module._Canvas(problem, variants(problem), K, N, PyMaxflow())
+    canvas = module.Canvas(problem, variants(problem), K, N, PyMaxflow())
     run = module._Run(canvas, 3, 5, torch.Generator().manual_seed(0), None)
     run.go(1e9, 1, 0)
     for place in ((0, 0), (7, 6), (13, 2)):

@@ -278,7 +278,7 @@ class _Job:
 
     def problem(self, quiet: bool) -> "Analogy":
         """Loads, and makes what is not given."""
-        from torchtex.recipes.analogy import Analogy, match_luminance, transfer_problem
+        from torchtex.recipes.analogy import Analogy, luminance_matched, transfer_problem
 
         sources = [_load(str(exemplar_path(name)), "source") for name in self.sources]
         constraints = tuple(_load(name, "constraint") for name in self.constraints)
@@ -295,16 +295,7 @@ class _Job:
         count = len(constraints)
         mapped = tuple(tuple(maps[i : i + count]) for i in range(0, len(maps), count))
         problem = Analogy(tuple(sources), mapped, constraints, self.weights)
-        if not self.match:
-            return problem
-        like = constraints[0]
-        return Analogy(
-            tuple(match_luminance(s, like, by=q[0])
-                  for s, q in zip(sources, mapped, strict=True)),
-            tuple((match_luminance(q[0], like), *q[1:]) for q in mapped),
-            constraints,
-            self.weights,
-        )  # fmt: skip
+        return luminance_matched(problem) if self.match else problem
 
     def _detail(self, sources: "list[torch.Tensor]", low: "torch.Tensor") -> "Analogy":
         from torchtex.recipes.analogy import Analogy, detail_problem

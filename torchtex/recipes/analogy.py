@@ -22,7 +22,7 @@ With several constraints A and A' are sums over them, each with its weight.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 import torch.nn.functional as F
@@ -486,6 +486,25 @@ def match_luminance(
     deviation = of.std(correction=0)
     gain = torch.where(deviation > 0, other.std(correction=0) / deviation.clamp(min=1e-12), 1)
     return (image + ((own - of.mean()) * gain + other.mean() - own)).clamp(0, 1)
+
+
+def luminance_matched(problem: Analogy) -> Analogy:
+    """The problem, its sources and first mapped images as light as the first constraint.
+
+    Source: Hertzmann et al. 2001, section 3.4.
+
+    Example:
+        >>> s, q, c = torch.rand(3, 8, 9), torch.rand(1, 8, 9), torch.full((1, 5, 6), 0.25)
+        >>> round(luminance_matched(Analogy.of(s, q, c)).mapped[0][0].mean().item(), 4)
+        0.25
+    """
+    like = problem.constraints[0]
+    pairs = list(zip(problem.sources, problem.mapped, strict=True))
+    return replace(
+        problem,
+        sources=tuple(match_luminance(s, like, by=q[0]) for s, q in pairs),
+        mapped=tuple((match_luminance(q[0], like), *q[1:]) for _, q in pairs),
+    )
 
 
 def detail_problem(

@@ -27,6 +27,7 @@ from torch import Tensor
 
 from torchtex.cuts.mincut import MinCut, cut_grid, default_solver
 from torchtex.cuts.seams import patch_views, present_seams
+from torchtex.inputs import check_seed
 from torchtex.patches import SsdSearch, ssd_search
 from torchtex.quadratic import rowwise_sum, threads
 from torchtex.recipes.analogy import (
@@ -146,7 +147,7 @@ def cms(
     limit = 5 * (K + 2) if tolerance is None else tolerance
     with threads(1):
         run = _Run(
-            _Canvas(problem, variants(problem, turns=turns, mirrors=mirrors), K, N, solver),
+            Canvas(problem, variants(problem, turns=turns, mirrors=mirrors), K, N, solver),
             candidates, apart, torch.Generator().manual_seed(seed), on_step,
         )  # fmt: skip
         run.go(limit, history, max_moves)
@@ -160,7 +161,7 @@ def cms(
     }  # fmt: skip
     field = source_field(labeling)
     montage = Montage(
-        field.apply(list(problem.sources)), field, _patches(labeling.labels, run.moves),
+        field.apply(list(problem.sources)), field, patch_numbers(labeling.labels, run.moves),
         time.perf_counter() - started, seed, settings,
     )  # fmt: skip
     return CmsResult(montage, labeling, energies, tuple(run.moves), run.searches, run.tried)
@@ -224,7 +225,7 @@ class _Offer(NamedTuple):
     agreement: Tensor  # (h, w), A'
 
 
-class _Canvas:
+class Canvas:
     """The labeling now, and all that is known of its costs; a move updates what it changed."""
 
     def __init__(
@@ -398,7 +399,7 @@ class _Run:
 
     def __init__(
         self,
-        canvas: _Canvas,
+        canvas: Canvas,
         candidates: int,
         apart: int,
         generator: torch.Generator,
@@ -594,7 +595,7 @@ def _absent(problem: Analogy, K: float, N: int) -> float:
     return 2.0 ** math.ceil(math.log2(1 + 2 * most))
 
 
-def _patches(labels: Int[Tensor, "h w 3"], moves: list[CmsMove]) -> Int[Tensor, "h w"]:
+def patch_numbers(labels: Int[Tensor, "h w 3"], moves: list[CmsMove]) -> Int[Tensor, "h w"]:
     """A number for each label, in the order of the first moves that laid them."""
     order = {label: i for i, label in reversed(list(enumerate(m.label for m in moves)))}
     used, which = labels.flatten(0, 1).unique(dim=0, return_inverse=True)
@@ -617,5 +618,4 @@ def _check(
         raise ValueError(f"tolerance={tolerance} must be at least 0, and finite; or None")
     if max_moves is not None and max_moves < 0:
         raise ValueError(f"max_moves={max_moves} must be at least 0, or None for no limit")
-    if not 0 <= seed < 2**63:
-        raise ValueError(f"seed={seed} must lie in 0..2^63 - 1")
+    check_seed(seed)

@@ -24,9 +24,10 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchtex.image import luminance
+from torchtex.inputs import check_seed
 from torchtex.matching import Clustered, Index, Matcher, principal_axes
 from torchtex.quadratic import threads
-from torchtex.recipes.analogy import Analogy, match_luminance
+from torchtex.recipes.analogy import Analogy, luminance_matched
 from torchtex.recipes.montage import Montage, Stage
 from torchtex.sources import copied
 
@@ -334,20 +335,15 @@ def _finer(found: Tensor, pyramid: Sequence[_Scale], depth: int) -> Tensor:
 
 
 def _scale(problem: Analogy, lightness: bool, remap: bool) -> _Scale:
-    sources, mapped = list(problem.sources), list(problem.mapped)
-    if remap:
-        like = problem.constraints[0]
-        sources = [match_luminance(s, like, by=q[0]) for s, q in zip(sources, mapped, strict=True)]
-        mapped = [(match_luminance(q[0], like), *q[1:]) for q in mapped]
-    changed = Analogy(tuple(sources), tuple(mapped), problem.constraints, problem.weights)
+    changed = luminance_matched(problem) if remap else problem
     if lightness:
         changed = Analogy(
-            tuple(luminance(s)[None] for s in sources),
-            tuple(tuple(luminance(q)[None] for q in images) for images in mapped),
-            tuple(luminance(c)[None] for c in problem.constraints),
-            problem.weights,
+            tuple(luminance(s)[None] for s in changed.sources),
+            tuple(tuple(luminance(q)[None] for q in images) for images in changed.mapped),
+            tuple(luminance(c)[None] for c in changed.constraints),
+            changed.weights,
         )
-    guides = tuple(changed.guides(j) for j in range(len(sources)))
+    guides = tuple(changed.guides(j) for j in range(len(changed.sources)))
     return _Scale(changed.sources, guides, changed.guide())
 
 
@@ -369,8 +365,7 @@ def _check(kappa: float, window: int, coarse: int, axes: int, seed: int) -> None
             raise ValueError(f"{name}={side} must be odd, and at least {least}")
     if axes < 1:
         raise ValueError(f"axes={axes} must be at least 1")
-    if not 0 <= seed < 2**63:
-        raise ValueError(f"seed={seed} must lie in 0..2^63 - 1")
+    check_seed(seed)
 
 
 def _reporter(

@@ -33,8 +33,7 @@ from torchtex.inputs import (
 from torchtex.model import LabelSpace
 from torchtex.patches import SsdSearch, pick, ssd_search
 from torchtex.quadratic import threads
-from torchtex.recipes.correspondence import Correspondence as Correspondence
-from torchtex.recipes.correspondence import blurred_luminance
+from torchtex.recipes.correspondence import Correspondence, blurred_luminance
 from torchtex.recipes.montage import Montage, Stage
 from torchtex.sources import copied
 

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from torchtex.controls import Guide
 from torchtex.cuts.mincut import MinCut, default_solver
+from torchtex.inputs import check_seed
 from torchtex.quadratic import threads
 from torchtex.recipes.analogy import (
     Analogy,
@@ -24,9 +25,10 @@ from torchtex.recipes.analogy import (
     source_field,
     variants,
 )
-from torchtex.recipes.cms import CmsMove, CmsResult, _Canvas, _patches
+from torchtex.recipes.cms import Canvas, CmsMove, CmsResult, patch_numbers
+from torchtex.recipes.correspondence import Correspondence
 from torchtex.recipes.montage import Montage, Stage
-from torchtex.recipes.quilting import Correspondence, transfer
+from torchtex.recipes.quilting import transfer
 from torchtex.result import Progress, Result
 from torchtex.synthesize import synthesize
 
@@ -129,7 +131,7 @@ def random_placement(
     kept: list[CmsMove] = []
     tried = improving = 0
     with threads(1):
-        canvas = _Canvas(problem, variants(problem, turns=turns, mirrors=mirrors), K, N, solver)
+        canvas = Canvas(problem, variants(problem, turns=turns, mirrors=mirrors), K, N, solver)
         full = False
         while not full or _goes_on(improving, moves, time.process_time() - begun, seconds):
             label = _drawn(canvas.size, [v.image.shape[1:] for v in canvas.variants], generator)
@@ -154,7 +156,7 @@ def random_placement(
     }  # fmt: skip
     field = source_field(labeling)
     montage = Montage(
-        field.apply(list(problem.sources)), field, _patches(labeling.labels, kept),
+        field.apply(list(problem.sources)), field, patch_numbers(labeling.labels, kept),
         time.perf_counter() - started, seed, settings,
     )  # fmt: skip
     return CmsResult(montage, labeling, energies, tuple(kept), 0, tried)
@@ -239,5 +241,4 @@ def _check_limits(moves: int | None, seconds: float | None, seed: int) -> None:
         raise ValueError(f"moves={moves} must be at least 0, or None for no limit")
     if seconds is not None and not 0 < seconds < math.inf:
         raise ValueError(f"seconds={seconds} must be above 0, or None for no limit")
-    if not 0 <= seed < 2**63:
-        raise ValueError(f"seed={seed} must lie in 0..2^63 - 1")
+    check_seed(seed)
