@@ -119,6 +119,17 @@ class SourceField:
             raise unreadable(path, error) from None
 
 
+def pixel_places(size: Sequence[int], device: torch.device | None = None) -> Int[Tensor, "h w 2"]:
+    """Row and column of every pixel of an image of that size.
+
+    Example:
+        >>> pixel_places((1, 3)).tolist()
+        [[[0, 0], [0, 1], [0, 2]]]
+    """
+    lines = (torch.arange(extent, device=device) for extent in size)
+    return torch.stack(torch.meshgrid(*lines, indexing="ij"), -1)
+
+
 def copied(positions: Tensor, shapes: Sequence[tuple[int, int]]) -> SourceField:
     """A field that copies every pixel from one place.
 

@@ -34,7 +34,6 @@ from torchtex.cli.recipe import Outputs, carry_out, patch_pictures
 
 if TYPE_CHECKING:
     from torchtex.cli.base import Watch
-    from torchtex.recipes.blend import Blend
     from torchtex.recipes.montage import Montage
 
 
@@ -188,26 +187,9 @@ def blend(
             mixed=mixed,
             boundary="free" if boundary == "free" else "dirichlet",
         )
-        return _montage(done, size, place, plain, time.perf_counter() - started)
+        return recipe.blended_montage(
+            done, size, place, poisson=not plain, seconds=time.perf_counter() - started
+        )
 
     outputs = Outputs(output, bits, labels, report, patch_pictures(seams, patch_map))
     carry_out(context, outputs, read, make, threads=threads, quiet=quiet)
-
-
-def _montage(
-    done: "Blend", size: tuple[int, int], offset: tuple[int, int], plain: bool, seconds: float
-) -> "Montage":
-    """A blend with its sources: exemplar 0 is the base, 1 the source."""
-    import torch
-
-    from torchtex.recipes.montage import Montage
-    from torchtex.sources import copied
-
-    h, w = done.mask.shape
-    piece = done.mask.long()
-    grid = torch.meshgrid(torch.arange(h), torch.arange(w), indexing="ij")
-    moved = [axis - piece * start for axis, start in zip(grid, offset, strict=True)]
-    field = copied(torch.stack([piece, *moved], -1), ((h, w), size))
-    texture = (done.pasted if plain else done.image).clamp(0, 1)
-    settings = {"recipe": "blend", "lost": done.lost, "poisson": not plain}
-    return Montage(texture, field, piece, seconds, 0, settings)

@@ -33,7 +33,7 @@ from torchtex.cuts.seams import present_seams
 from torchtex.image import check_image, luminance, resize
 from torchtex.patches import box_sums, summed_area
 from torchtex.quadratic import rowwise_sum
-from torchtex.sources import SourceField, copied
+from torchtex.sources import SourceField, copied, pixel_places
 
 
 @dataclass(frozen=True)
@@ -258,9 +258,7 @@ def placed(positions: Int[Tensor, "h w 3"], made: tuple[Variant, ...]) -> Labeli
     """
     upright = [i for i, v in enumerate(made) if v.upright]
     which = torch.tensor(upright, device=positions.device)[positions[..., 0]]
-    h, w = positions.shape[:2]
-    rows, cols = torch.meshgrid(torch.arange(h), torch.arange(w), indexing="ij")
-    here = torch.stack([rows, cols], -1).to(positions.device)
+    here = pixel_places(positions.shape[:2], positions.device)
     return Labeling(torch.cat([which[..., None], here - positions[..., 1:]], -1), made)
 
 
@@ -794,15 +792,8 @@ def _reached(
 ) -> Tensor:
     labels = labeling.labels[rows, cols]
     device = labels.device
-    here = torch.stack(
-        torch.meshgrid(
-            torch.arange(rows.start, rows.stop, device=device) + down,
-            torch.arange(cols.start, cols.stop, device=device) + across,
-            indexing="ij",
-        ),
-        -1,
-    )
-    places = here - labels[..., 1:]
+    corner = labels.new_tensor([rows.start + down, cols.start + across])
+    places = pixel_places(labels.shape[:2], device) + corner - labels[..., 1:]
     if not clamped:
         return places
     limits = torch.tensor([v.image.shape[1:] for v in labeling.variants], device=device) - 1

@@ -10,6 +10,8 @@ from torch import Tensor
 from torchtex.cuts.poisson import Boundary, gradients, solve
 from torchtex.cuts.poisson import mixed as mixed_gradients
 from torchtex.inputs import check_pair
+from torchtex.recipes.montage import Montage
+from torchtex.sources import copied, pixel_places
 
 
 @dataclass(frozen=True)
@@ -94,6 +96,39 @@ def blend(
     image = solve(guidance, base, placed, boundary=boundary, tolerance=tolerance)
     lost = int(mask.sum()) - int(placed.sum())
     return Blend(image, torch.where(placed, canvas, base), placed, lost)
+
+
+def blended_montage(
+    done: Blend,
+    size: tuple[int, int],
+    offset: tuple[int, int],
+    *,
+    poisson: bool = True,
+    seconds: float = 0.0,
+) -> Montage:
+    """A blend with the source of every pixel: exemplar 0 is the base, 1 the source.
+
+    Args:
+        size: height and width of the source.
+        offset: as given to `blend`.
+        poisson: the blended pixels; otherwise the pasted ones.
+        seconds: that it took.
+
+    Example:
+        >>> base, source = torch.rand(1, 9, 9), torch.rand(1, 2, 2)
+        >>> done = blend(base, source, torch.ones(2, 2).bool(), (4, 3))
+        >>> whole = blended_montage(done, (2, 2), (4, 3), poisson=False)
+        >>> torch.equal(whole.apply([base, source]), whole.texture)
+        True
+    """
+    piece = done.mask.long()
+    places = pixel_places(done.mask.shape, piece.device)
+    places = places - piece[..., None] * places.new_tensor(offset)
+    shapes = ((done.mask.shape[0], done.mask.shape[1]), size)
+    field = copied(torch.cat([piece[..., None], places], -1), shapes)
+    texture = (done.image if poisson else done.pasted).clamp(0, 1)
+    settings = {"recipe": "blend", "lost": done.lost, "poisson": poisson}
+    return Montage(texture, field, piece, seconds, 0, settings)
 
 
 def _placed(

@@ -35,7 +35,7 @@ from torchtex.neighborhoods import Grid
 from torchtex.recipes.montage import Montage, Stage
 from torchtex.result import Progress
 from torchtex.schedule import Level, default_schedule
-from torchtex.sources import copied
+from torchtex.sources import copied, pixel_places
 from torchtex.starts import Blocks
 from torchtex.synthesize import synthesize
 
@@ -107,7 +107,10 @@ def fill(
     solver = default_solver() if solver is None else solver
     known = ~mask
     whole = torch.where(known, image.detach(), image[:, known].mean(1)[:, None, None])
-    sources, patches = _places(mask.shape, mask.device), torch.zeros_like(mask, dtype=torch.long)
+    sources, patches = (
+        pixel_places(mask.shape, mask.device),
+        torch.zeros_like(mask, dtype=torch.long),
+    )
     margin = max(round(level.size / level.scale) for level in levels)
     boxes = _boxes(mask, margin)
     areas = [int(mask[box].sum()) for box in boxes]
@@ -133,16 +136,16 @@ def fill(
             seed=seed,
             on_step=watch.solved,
         )
-        proposed = _places(part.known.shape, mask.device)
+        proposed = pixel_places(part.known.shape, mask.device)
         proposed[_shifted(near, -wide[0].start, -wide[1].start)] = result.source_map[..., 1:]
-        proposed[part.known] = _places(part.known.shape, mask.device)[part.known]
+        proposed[part.known] = pixel_places(part.known.shape, mask.device)[part.known]
         offered = part.offered(proposed, offsets)
         places = part.cut(proposed, offered, border, solver, watch.cut(_SWEEPS * len(offered)))
         filled = part.pixels(places, poisson=poisson)
         whole[:, wide[0], wide[1]] = torch.where(part.target, filled, part.image)
         corner = torch.tensor([wide[0].start, wide[1].start], device=places.device)
         sources[wide][part.target] = places[part.target] + corner
-        moved = (places - _places(part.known.shape, mask.device))[part.target]
+        moved = (places - pixel_places(part.known.shape, mask.device))[part.target]
         which = moved.unique(dim=0, return_inverse=True)[1]
         patches[wide][part.target] = which + int(patches.max()) + 1
     settings = {
@@ -217,7 +220,7 @@ class _Part:
 
     def offered(self, proposed: Int[Tensor, "h w 2"], count: int) -> Int[Tensor, "k 2"]:
         """The offsets that are most frequent in the hole, and those at its rim."""
-        moved = proposed - _places(self.known.shape, proposed.device)
+        moved = proposed - pixel_places(self.known.shape, proposed.device)
         rim = self.target & (F.max_pool2d((~self.target)[None].float(), 13, 1, 6)[0] > 0)
         return torch.cat([_frequent(moved[self.target], count - count // 2),
                           _frequent(moved[rim], count // 2)]).unique(dim=0)  # fmt: skip
@@ -271,7 +274,7 @@ class _Part:
             begin, torch.stack(rows), unary, edges, pairwise,
             solver=solver, sweeps=_SWEEPS, on_step=on_step,
         )  # fmt: skip
-        places = _places(self.known.shape, here.device)
+        places = pixel_places(self.known.shape, here.device)
         places[nodes] = torch.stack([labels // w, labels % w], 1)
         return places
 
@@ -322,11 +325,6 @@ def _slope(views: Tensor, one: Tensor, other: Tensor, view: int) -> Tensor:
 def _frequent(moved: Int[Tensor, "n 2"], count: int) -> Int[Tensor, "k 2"]:
     kinds, times = moved.unique(dim=0, return_counts=True)
     return kinds[times.argsort(descending=True, stable=True)[:count]]
-
-
-def _places(size: Sequence[int], device: torch.device) -> Int[Tensor, "h w 2"]:
-    axes = (torch.arange(n, device=device) for n in size)
-    return torch.stack(torch.meshgrid(*axes, indexing="ij"), -1)
 
 
 def _flat(places: Int[Tensor, "*n 2"], width: int) -> Int[Tensor, "*n"]:

@@ -29,7 +29,7 @@ from torchtex.matching import Clustered, Index, Matcher, principal_axes
 from torchtex.quadratic import threads
 from torchtex.recipes.analogy import Analogy, luminance_matched
 from torchtex.recipes.montage import Montage, Stage
-from torchtex.sources import copied
+from torchtex.sources import copied, pixel_places
 
 _SAMPLE = 8192  # surroundings that the axes of the search are computed from
 _COARSEST = 16  # pixels: a scale at least has, unless the number of scales is given
@@ -111,11 +111,10 @@ def copies(positions: Int[Tensor, "h w 3"]) -> Int[Tensor, "h w"]:
         >>> copies(torch.tensor([[[0, 3, 3], [0, 3, 4], [0, 0, 0]]])).tolist()
         [[1, 1, 0]]
     """
-    h, w = positions.shape[:2]
-    rows = torch.arange(h, device=positions.device)[:, None].expand(h, w)
-    cols = torch.arange(w, device=positions.device).expand(h, w)
-    shift = positions - torch.stack([torch.zeros_like(rows), rows, cols], -1)
-    return shift.flatten(0, 1).unique(dim=0, return_inverse=True)[1].view(h, w)
+    size = positions.shape[:2]
+    shift = positions.clone()
+    shift[..., 1:] -= pixel_places(size, positions.device)
+    return shift.flatten(0, 1).unique(dim=0, return_inverse=True)[1].view(size)
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ from torchtex.inputs import check_pair
 from torchtex.quadratic import threads
 from torchtex.recipes.montage import Montage, Stage
 from torchtex.recipes.strokes import Placed, Stroke, distance, place
-from torchtex.sources import copied
+from torchtex.sources import copied, pixel_places
 
 _NEAR = [(0, 1), (1, 0)]
 _FAR = [*_NEAR, (1, 1), (1, -1)]
@@ -315,8 +315,7 @@ def _evened(old: Tensor, new: Tensor, labels: Tensor, alike: Tensor, level: floa
 
 def _canvas(base: Tensor, source: Tensor, two: bool) -> _Canvas:
     h, w = base.shape[1:]
-    grid = torch.meshgrid(torch.arange(h), torch.arange(w), indexing="ij")
-    positions = torch.stack([torch.zeros(h, w, dtype=torch.long), *grid], -1).to(base.device)
+    positions = F.pad(pixel_places((h, w), base.device), (1, 0))  # of exemplar 0
     shapes = [(h, w)] + ([(source.shape[1], source.shape[2])] if two else [])
     patches = torch.zeros(h, w, dtype=torch.long, device=base.device)
     return _Canvas(base.clone(), positions, patches, tuple(shapes))

@@ -30,7 +30,7 @@ from torchtex.patches import SsdSearch, pick, ssd_exhaustive, ssd_search
 from torchtex.qtp import Qtp, QtpIndex
 from torchtex.quadratic import threads
 from torchtex.recipes.montage import Montage, Stage
-from torchtex.sources import SourceField
+from torchtex.sources import SourceField, pixel_places
 
 Search = Literal["exhaustive", "fft", "qtp"] | Qtp
 _SHARE = 0.28  # of the exemplar's side is a patch's, unless given
@@ -141,16 +141,8 @@ def _laid(
     weights, numbers = weights[used, :height, :width], numbers[used, :height, :width]
     patches = numbers.gather(0, weights.argmax(0, keepdim=True))[0]
     numbers = torch.where(weights > 0, numbers, patches)  # an unused layer names a pixel too
-    at = torch.stack(
-        torch.meshgrid(
-            torch.arange(height, device=first.device),
-            torch.arange(width, device=first.device),
-            indexing="ij",
-        ),
-        -1,
-    )
     positions = origins[numbers]
-    positions[..., 1:] += at
+    positions[..., 1:] += pixel_places((height, width), first.device)
     shapes = tuple((z.shape[1], z.shape[2]) for z in zs)
     return SourceField(positions, weights, shapes), patches
 

@@ -35,7 +35,7 @@ from torchtex.patches import SsdSearch, pick, ssd_search
 from torchtex.quadratic import threads
 from torchtex.recipes.correspondence import Correspondence, blurred_luminance
 from torchtex.recipes.montage import Montage, Stage
-from torchtex.sources import copied
+from torchtex.sources import copied, pixel_places
 
 Window = tuple[slice, slice]
 _SHARE = 0.28  # of the exemplar's side is a block's, unless given
@@ -289,9 +289,8 @@ def _montage(
 ) -> Montage:
     height, width = layout.size
     patches = sheet.patches[:height, :width].contiguous()
-    rows = torch.arange(height, device=patches.device)[:, None].expand_as(patches)
-    cols = torch.arange(width, device=patches.device).expand_as(patches)
-    sources = sheet.origins[patches] + torch.stack([torch.zeros_like(rows), rows, cols], -1)
+    sources = sheet.origins[patches]
+    sources[..., 1:] += pixel_places(layout.size, patches.device)
     settings = about | {
         "size": list(layout.size),
         "block": layout.side,
