@@ -13,7 +13,7 @@ import torch
 from conftest import Run, pixels, refused, stripes
 
 from torchtex import image as images
-from torchtex.cli import moving
+from torchtex.recipes import montage
 
 LINE = ("animate", "z.png", "--size", "32x36", "--flow", "source:1", "--quiet")
 
@@ -32,14 +32,14 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def interrupt_at(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
     """Ctrl-C as soon as that frame is there."""
-    usual = moving._Stage
+    usual = montage.Stage
 
-    def stage(frame: Any, frames: int) -> Any:
-        if frame.number == number:
+    def stage(done: float, note: str, texture: Any, detail: str) -> Any:
+        if detail.startswith(f"{number + 1} of"):
             signal.raise_signal(signal.SIGINT)
-        return usual(frame, frames)
+        return usual(done, note, texture, detail)
 
-    monkeypatch.setattr(moving, "_Stage", stage)
+    monkeypatch.setattr(montage, "Stage", stage)
 
 
 def frame_bytes(folder: str) -> list[bytes]:

@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from torchtex.cli.base import Watch, app
-from torchtex.cli.files import choose, load_exemplars, parse_size, read_files, solver_of
+from torchtex.cli.files import (
+    boundary_of,
+    choose,
+    load_exemplars,
+    parse_size,
+    read_files,
+    solver_of,
+)
 from torchtex.cli.options import (
     Bits,
     Boundary,
@@ -32,7 +39,6 @@ if TYPE_CHECKING:
     from torchtex.recipes.montage import Montage
 
 PLACEMENTS = ("random", "entire", "sub")
-BOUNDARIES = ("free", "periodic")
 
 
 @app.command()
@@ -89,7 +95,7 @@ def graphcut(
     extent = parse_size(size)
     where = _placement(placement, patch, k, spread)
     factors = parse_scales(scales)
-    choose("boundary", boundary, BOUNDARIES)
+    border = boundary_of(boundary)
     chosen = solver_of(solver)
     drawn = mask or []
     read = read_files(exemplar, drawn)
@@ -108,7 +114,7 @@ def graphcut(
             mirrors=mirrors,
             scales=factors,
             poisson=poisson,
-            boundary="periodic" if boundary == "periodic" else "free",
+            boundary=border,
             masks=masks,
             solver=chosen,
             seed=seed,

@@ -4,7 +4,7 @@ import difflib
 import hashlib
 import json
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -84,6 +84,12 @@ def cut_of(name: str) -> 'Literal["dp", "mincut"]':
     return "dp" if name == "dp" else "mincut"
 
 
+def boundary_of(name: str) -> 'Literal["free", "periodic"]':
+    """The kind of border of that name."""
+    choose("boundary", name, ("free", "periodic"))
+    return "periodic" if name == "periodic" else "free"
+
+
 def check_output(
     output: Path, read: Iterable[Path], name: str = "output", suffixes: Sequence[str] | None = None
 ) -> None:
@@ -102,6 +108,24 @@ def check_output(
             raise ValueError(
                 f"{name}={str(output)!r} would overwrite an input; choose another name"
             )
+
+
+def check_outputs(
+    outputs: "Iterable[tuple[str, Path | None, Sequence[str]]]", read: Collection[Path]
+) -> None:
+    """`check_output` for several, each a parameter, a path or None, and the endings allowed.
+
+    Raises:
+        ValueError: as there, or two are one file.
+    """
+    written: list[Path] = []
+    for name, path, suffixes in outputs:
+        if path is None:
+            continue
+        check_output(path, read, name, suffixes)
+        if path.resolve() in written:
+            raise ValueError(f"{name}={str(path)!r} is another output too; choose another name")
+        written.append(path.resolve())
 
 
 def holds(output: Path, channels: int, bits: int) -> bool:

@@ -7,7 +7,7 @@ import typer
 
 from torchtex.cli.base import app
 from torchtex.cli.files import (
-    choose,
+    boundary_of,
     exemplar_path,
     extent_of,
     load_exemplars,
@@ -25,6 +25,7 @@ from torchtex.cli.options import (
     Masks,
     Output,
     PatchPicture,
+    Plain,
     Quiet,
     Report,
     SeamPicture,
@@ -55,7 +56,7 @@ def fill(
         float, typer.Option(help="Cost of a seam at the border of a hole, against 1 inside.")
     ] = 10.0,
     reach: Annotated[int, typer.Option(help="Pixels around a hole that are searched.")] = 256,
-    plain: Annotated[bool, typer.Option("--plain", help="Copy pixels; no Poisson.")] = False,
+    plain: Plain = False,
     solver: Solver = None,
     seed: Seed = 0,
     threads: Threads = None,
@@ -124,7 +125,7 @@ def mix(
     quiet: Quiet = False,
 ) -> None:
     """Mix exemplars: one here, another there, both where a map is grey."""
-    choose("boundary", boundary, ("free", "periodic"))
+    border = boundary_of(boundary)
     wanted = None if size is None else parse_size(size)
     read = read_files(exemplar, mask or ()) | {name: Path(name) for name in weights}
 
@@ -138,7 +139,7 @@ def mix(
             weight=weight,
             grain=grain,
             masks=masks,
-            boundary="periodic" if boundary == "periodic" else "free",
+            boundary=border,
             seed=seed,
             on_step=watch,
         )

@@ -11,7 +11,13 @@ import typer
 from torchtex.cli.base import app
 from torchtex.cli.files import exemplar_path, same_channels
 
-EXTRAS = {"plot": ("matplotlib",), "video": ("imageio_ffmpeg",), "graphcut": ("maxflow", "ortools")}
+EXTRAS = {
+    "plot": ("matplotlib",),
+    "video": ("imageio_ffmpeg",),
+    "graphcut": ("maxflow", "ortools"),
+    "design": ("skimage", "sklearn", "yaml"),
+    "solid": ("trimesh", "zarr"),
+}
 
 
 @app.command()

@@ -10,14 +10,13 @@ import typer
 
 from torchtex.cli.base import Interrupts, app, progress_bar
 from torchtex.cli.files import (
-    check_masks,
-    check_output,
+    check_outputs,
     load_exemplars,
     parse_size,
     read_files,
     sha256,
 )
-from torchtex.cli.options import Exemplars, KeepPartial, Quiet, Report, Seed, Size, Threads
+from torchtex.cli.options import Exemplars, KeepPartial, Masks, Quiet, Report, Seed, Size, Threads
 from torchtex.cli.recipe import kept_options
 
 if TYPE_CHECKING:
@@ -59,9 +58,7 @@ def animate(
     ] = 0,
     boundary: Annotated[str, typer.Option(help="free, or periodic for frames that tile.")] = "free",
     rate: Annotated[float, typer.Option(help="Frames per second.")] = 25.0,
-    mask: Annotated[
-        list[str] | None, typer.Option(help="White where the exemplar may be used; one each.")
-    ] = None,
+    mask: Masks = None,
     compare: Annotated[
         bool,
         typer.Option(
@@ -93,19 +90,17 @@ def animate(
     from torchtex.flow.words import parse_flow
     from torchtex.recipes.animate import Motion
     from torchtex.recipes.animate import animate as animated
+    from torchtex.recipes.montage import Stage
     from torchtex.video import is_folder, write_video
 
     height_width = parse_size(size)
-    check_masks(exemplar, mask or [])
     if boundary not in ("free", "periodic"):
         raise ValueError(f"boundary={boundary!r} must be free or periodic")
     motion = Motion(stretch=stretch, hold=hold)
     field = parse_flow(flow)
     moving = field if flow_scale == 1 else Scaled(field, flow_scale)
     read = read_files(exemplar, mask or [])
-    _check_outputs(
-        read, output, keep, rate, compare, {"report": report, "flow-picture": flow_picture}
-    )
+    _check_outputs(read, output, keep, rate, compare, report, flow_picture)
     folder = output if is_folder(output) else keep
     if threads is not None:
         torch.set_num_threads(threads)
@@ -137,7 +132,9 @@ def animate(
                 contextlib.suppress(KeyboardInterrupt) if keep_partial else contextlib.nullcontext()
             ):
                 for frame in made:
-                    watch(_Stage(frame, frames))
+                    detail = f"{frame.number + 1} of {frames}, {frame.seconds:.1f} s a frame"
+                    done = (frame.number + 1) / frames
+                    watch(Stage(done, "frames", frame.texture, detail))
                     lines.append(
                         {
                             "frame": frame.number,
@@ -173,7 +170,8 @@ def _check_outputs(
     keep: Path | None,
     rate: float,
     compare: bool,
-    others: "dict[str, Path | None]",
+    report: Path | None,
+    flow_picture: Path | None,
 ) -> None:
     """Refuses, before any work, what cannot be written."""
     from torchtex import image as images
@@ -181,38 +179,25 @@ def _check_outputs(
 
     check_video(output)
     check_rate(rate)
-    if is_folder(output):
-        if compare:
-            raise ValueError(
-                f"compare needs a film, and output={str(output)!r} is a folder; name a film, and "
-                "a folder with --keep"
-            )
-    else:
-        check_output(output, read.values(), suffixes=())
+    if is_folder(output) and compare:
+        raise ValueError(
+            f"compare needs a film, and output={str(output)!r} is a folder; name a film, and "
+            "a folder with --keep"
+        )
     if keep is not None:
         if keep.exists() and not keep.is_dir():
             raise ValueError(f"keep={str(keep)!r} is a file; name a folder")
         if not keep.resolve().parent.is_dir():
             raise ValueError(f"keep={str(keep)!r}: there is no folder to make it in")
-    written = [output.resolve()]
-    for name, path in others.items():
-        if path is None:
-            continue
-        suffixes = (".json",) if name == "report" else images.SUFFIXES
-        check_output(path, read.values(), name, suffixes)
-        if path.resolve() in written:
-            raise ValueError(f"{name}={str(path)!r} is another output too; choose another name")
-        written.append(path.resolve())
-
-
-class _Stage:
-    """What the progress bar is told of a frame."""
-
-    def __init__(self, frame: "Frame", frames: int) -> None:
-        self.done = (frame.number + 1) / frames
-        self.note = "frames"
-        self.texture = frame.texture
-        self.detail = f"{frame.number + 1} of {frames}, {frame.seconds:.1f} s a frame"
+    film = None if is_folder(output) else output
+    check_outputs(
+        (
+            ("output", film, ()),
+            ("report", report, (".json",)),
+            ("flow-picture", flow_picture, images.SUFFIXES),
+        ),
+        read.values(),
+    )
 
 
 def _deciding(context: typer.Context) -> dict[str, Any]:

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from torchtex.cli.base import Interrupts, Watch, progress_bar
-from torchtex.cli.files import check_output, holds, save_picture, sha256
+from torchtex.cli.files import check_outputs, holds, save_picture, sha256
 
 if TYPE_CHECKING:
     import torch
 
     from torchtex.recipes.montage import Montage
+    from torchtex.result import Result
 
 ASIDE = {
     "output", "labels", "report", "threads", "keep_partial", "quiet", "seams", "patch_map",
@@ -57,22 +58,18 @@ class Outputs:
             raise ValueError(f"bits={self.bits} must be 8 or 16")
         if not holds(self.output, 3, self.bits):
             raise ValueError(f"bits={self.bits} cannot be saved as {self.output.suffix}; use .png")
-        written: list[Path] = []
-        for name, path, suffixes in (
-            ("output", self.output, images.SUFFIXES),
-            ("labels", self.labels, (".npz",)),
-            ("report", self.report, (".json",)),
-            *((name, path, images.SUFFIXES) for name, path, _ in self.pictures),
-            *((name, path, ()) for name, path, _ in self.files),
-        ):
-            if path is None:
-                continue
-            check_output(path, read.values(), name, suffixes)
-            if path.resolve() in written:
-                raise ValueError(f"{name}={str(path)!r} is another output too; choose another name")
-            written.append(path.resolve())
+        check_outputs(
+            (
+                ("output", self.output, images.SUFFIXES),
+                ("labels", self.labels, (".npz",)),
+                ("report", self.report, (".json",)),
+                *((name, path, images.SUFFIXES) for name, path, _ in self.pictures),
+                *((name, path, ()) for name, path, _ in self.files),
+            ),
+            read.values(),
+        )
 
-    def write(self, result: "Montage", about: dict[str, Any]) -> None:
+    def write(self, result: "Montage | Result", about: dict[str, Any]) -> None:
         """Writes all of it, the texture with what made it."""
         from torchtex import image as images
 

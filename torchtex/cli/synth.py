@@ -1,6 +1,5 @@
 """`torchtex synth`: texture optimization."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -10,14 +9,13 @@ import typer
 
 from torchtex.cli.base import Interrupts, app, progress_bar
 from torchtex.cli.files import (
+    boundary_of,
     check_masks,
-    check_output,
     choose,
     device_of,
     exemplar_path,
     extent_of,
     fitting,
-    holds,
     load_exemplars,
     parse_size,
     save_picture,
@@ -38,6 +36,7 @@ from torchtex.cli.options import (
     Size,
     Threads,
 )
+from torchtex.cli.recipe import Outputs
 
 if TYPE_CHECKING:
     import torch
@@ -240,16 +239,10 @@ def run(
     from torchtex.synthesize import synthesize
 
     files = recipe.files()
-    check_output(output, [*files.values(), *([] if source is None else [source])])
-    for path, suffix, name in (
-        (labels, ".npz", "labels"),
-        (report, ".json", "report"),
-        (checkpoint, ".npz", "checkpoint"),
-    ):
-        if path is not None:
-            images.check_writable(path, suffixes=(suffix,), name=name)
-    if not holds(output, 3, recipe.bits):
-        raise ValueError(f"bits={recipe.bits} cannot be saved as {output.suffix}; use .png")
+    outputs = Outputs(output, recipe.bits, labels, report)
+    outputs.check(files if source is None else files | {str(source): source})
+    if checkpoint is not None:
+        images.check_writable(checkpoint, suffixes=(".npz",), name="checkpoint")
     schedule = recipe.levels()
     device = device_of(recipe.device)
     if threads is not None:
@@ -278,7 +271,7 @@ def run(
                 start=Blocks() if recipe.start == "blocks" else RandomNeighborhoods(),
                 init=inputs.init,
                 schedule=schedule,
-                boundary="periodic" if recipe.boundary == "periodic" else "free",
+                boundary=boundary_of(recipe.boundary),
                 search=_search(recipe.match, device.type),
                 controls=inputs.controls,
                 seed=recipe.seed,
@@ -298,12 +291,7 @@ def run(
                 print(output)
             raise KeyboardInterrupt from None
     about |= result.report()
-    save_picture(output, result.texture, recipe.bits, about)
-    if labels is not None:
-        result.field.save(labels)
-    if report is not None:
-        with images.atomic_write(report, name="report") as temporary:
-            temporary.write_text(json.dumps(about, indent=2) + "\n")
+    outputs.write(result, about)
     if checkpoint is not None:
         checkpoint.unlink(missing_ok=True)
     print(output)

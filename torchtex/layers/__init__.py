@@ -1,0 +1,1 @@
+"""Layers of a texture: segmented, deformed, arranged by chaotic maps, stitched, marbled."""

@@ -1,0 +1,1 @@
+"""Pictures of textured things, drawn in software."""
