@@ -29,7 +29,7 @@ MODULES = sorted(
 
 # a module may import only those of rows above its own; "cli" stands for all modules of the package
 FLOORS = (
-    ("image", "wavelets", "neighborhoods", "quadratic"),
+    ("image", "wavelets", "neighborhoods", "quadratic", "volumes.formats"),
     (
         "data",
         "features",
