@@ -128,8 +128,8 @@ def save_volume(
     if suffix == "":
         with _whole_folder(path, name) as partial:
             for number in range(volume.shape[1]):
-                file = partial / f"slice_{number:04d}.png"
-                images.save(file, volume[:, number], bits=bits, name=name)
+                slice_path = partial / f"slice_{number:04d}.png"
+                images.save(slice_path, volume[:, number], bits=bits, name=name)
         return
     values = _values(volume if suffix == ".npy" else volume.permute(1, 2, 3, 0), bits)
     if suffix == ".zarr":
@@ -139,7 +139,7 @@ def save_volume(
                 str(partial), mode="w", shape=values.shape, chunks=chunks, dtype=values.dtype
             )[...] = values
         return
-    with images.atomic_write(path, name=name) as whole, open(whole, "wb") as file:
+    with images.atomic_write(path, name=name) as partial, open(partial, "wb") as file:
         if suffix == ".npy":
             np.save(file, values)
         else:
