@@ -9,7 +9,8 @@ from conftest import Done, Run, noise, pixels, refused
 
 from torchtex import image as images
 from torchtex.layers.marbling import marble
-from torchtex.layers.tines import Drop, Tine, Wave
+from torchtex.layers.tines import Tine, Wave
+from torchtex.layers.whirls import Drop
 
 
 @pytest.fixture

@@ -11,7 +11,8 @@ from torch import Tensor
 from torchtex.layers.marbling import marble, trace
 from torchtex.layers.marbling_words import as_json, load_operations, parse_operation, with_channels
 from torchtex.layers.resampling import basis, fit
-from torchtex.layers.tines import Circle, Comb, Drop, Operation, Tine, Vortex, Wave
+from torchtex.layers.tines import Comb, Operation, Tine, Wave
+from torchtex.layers.whirls import Circle, Drop, Vortex
 
 SIZE = (48, 40)
 EXACT: list[Operation] = [

@@ -13,7 +13,8 @@ from torch import Tensor
 
 from torchtex.image import check_image
 from torchtex.layers.resampling import Spline, fit
-from torchtex.layers.tines import Drop, Operation, Size
+from torchtex.layers.tines import Operation, Size
+from torchtex.layers.whirls import Drop
 
 _PIXELS = 2**16  # read at a time
 _STEPS = ((0.5, 0.0), (-0.5, 0.0), (0.0, 0.5), (0.0, -0.5))
@@ -37,7 +38,7 @@ def marble(
 
     Args:
         image: (c, h, w) in [0, 1].
-        operations: such as those of `tines`.
+        operations: such as those of `tines` and `whirls`.
         periodic: the image is a tile, and stays one; otherwise what comes in from outside is
             the image mirrored at its borders.
         undo: take back what the same operations did; the ink of drops is taken up.
@@ -51,7 +52,7 @@ def marble(
             fit a periodic image, or ink of another number of channels.
 
     Example:
-        >>> from torchtex.layers.tines import Drop, Tine
+        >>> from torchtex.layers.tines import Tine
         >>> design = [Drop(color=(0.2,)), Tine(90.0, shift=0.1)]
         >>> marble(torch.rand(1, 32, 32), design, periodic=True).shape
         torch.Size([1, 32, 32])
@@ -101,7 +102,7 @@ def trace(
         undo: where it went instead.
 
     Example:
-        >>> from torchtex.layers.tines import Drop, Tine
+        >>> from torchtex.layers.tines import Tine
         >>> at = torch.tensor([[1.5, 0.0], [1.5, 0.0]])
         >>> trace([Tine(), Drop(radius=0.25, color=(1.0,))], at, (4, 4))[1].tolist()
         [1, -1]

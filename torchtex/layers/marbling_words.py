@@ -9,7 +9,8 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-from torchtex.layers.tines import Circle, Comb, Drop, Operation, Tine, Vortex, Wave, plain
+from torchtex.layers.tines import Comb, Operation, Tine, Wave, plain
+from torchtex.layers.whirls import Circle, Drop, Vortex
 
 _KINDS: dict[str, type] = {
     "tine": Tine, "comb": Comb, "wave": Wave, "circle": Circle, "vortex": Vortex, "drop": Drop,
