@@ -1,0 +1,120 @@
+"""Stitched layers: copies of their sources, the best seam, holes where none is."""
+
+from itertools import product
+
+import pytest
+import torch
+from conftest import noise
+from torch import Tensor
+
+from torchtex.cuts.mincut import MinCut
+from torchtex.layers.deform import Deformation, Deformed, deform
+from torchtex.layers.stitch import Part, stitch
+from torchtex.sources import copied, pixel_places
+
+
+def part(image: Tensor, mask: Tensor, at: tuple[int, int] = (0, 0), exemplar: int = 0) -> Part:
+    places = torch.nn.functional.pad(pixel_places(mask.shape), (1, 0))
+    field = copied(places, ((mask.shape[0], mask.shape[1]),))
+    return Part(Deformed(image, mask, field), at, exemplar)
+
+
+def boxed(size: tuple[int, int], rows: slice, cols: slice) -> Tensor:
+    mask = torch.zeros(size, dtype=torch.bool)
+    mask[rows, cols] = True
+    return mask
+
+
+def test_every_pixel_is_of_a_part_that_has_it_and_others_are_holes(solver: MinCut) -> None:
+    images = [noise(3, 20, 24, seed=n) for n in range(3)]
+    masks = [
+        boxed((20, 24), slice(0, 12), slice(0, 24)),
+        boxed((20, 24), slice(8, 18), slice(2, 14)),
+        boxed((20, 24), slice(4, 14), slice(10, 20)),
+    ]
+    made = stitch([part(i, m) for i, m in zip(images, masks, strict=True)], (20, 24), solver=solver)
+    assert torch.equal(made.holes, ~torch.stack(masks).any(0))
+    assert not bool(made.texture[:, made.holes].any())
+    for number, (image, mask) in enumerate(zip(images, masks, strict=True)):
+        own = made.owner == number
+        assert bool(own.any())
+        assert not bool((own & ~mask).any())
+        assert torch.equal(made.texture[:, own], image[:, own])
+        assert torch.equal(made.positions[own][:, 1:].long(), own.nonzero())
+
+
+def test_the_seam_is_the_cheapest_one(solver: MinCut) -> None:
+    old, new = noise(1, 3, 5, seed=4), noise(1, 3, 5, seed=5)
+    masks = boxed((3, 5), slice(0, 3), slice(0, 4)), boxed((3, 5), slice(0, 3), slice(1, 5))
+    made = stitch([part(old, masks[0]), part(new, masks[1])], (3, 5), band=9, solver=solver)
+    core = torch.zeros(3, 5, dtype=torch.bool)
+    core[1, 2:4] = True  # what a band of 9, halved until something is left, leaves
+    apart = (old - new).abs()[0]
+    apart[:, [0, 4]] = 0
+
+    def cost(labels: Tensor) -> float:
+        total = 0.0
+        for axis in (0, 1):
+            n = labels.shape[axis] - 1
+            unlike = labels.narrow(axis, 0, n) != labels.narrow(axis, 1, n)
+            both = masks[0] & masks[1]
+            share = 2 / (both.narrow(axis, 0, n).int() + both.narrow(axis, 1, n).int())
+            step = (apart.narrow(axis, 0, n) + apart.narrow(axis, 1, n)) * share
+            total += float(step[unlike].sum())
+        return total
+
+    labels = made.owner == 1
+    assert not bool(labels[:, 0].any())
+    assert bool(labels[:, 4].all())
+    least = float("inf")
+    for bits in product((False, True), repeat=7):
+        other = torch.zeros(3, 5, dtype=torch.bool)
+        other[:, 4] = True
+        free = [(r, c) for r in range(3) for c in (1, 2, 3) if not core[r, c]]
+        for (r, c), bit in zip(free, bits, strict=True):
+            other[r, c] = bit
+        other |= core
+        least = min(least, cost(other))
+    assert cost(labels) == pytest.approx(least)
+
+
+def test_a_part_on_another_stays_and_a_thin_one_too() -> None:
+    ground, thing = torch.zeros(1, 24, 24).double(), torch.ones(1, 24, 24).double()
+    everywhere = torch.ones(24, 24, dtype=torch.bool)
+    for mask in (
+        boxed((24, 24), slice(6, 18), slice(6, 18)),
+        boxed((24, 24), slice(3, 20), slice(10, 12)),
+        boxed((24, 24), slice(5, 6), slice(5, 6)),
+    ):
+        made = stitch([part(ground, everywhere), part(thing, mask)], (24, 24))
+        assert bool((made.owner == 1).any())
+        assert not bool(((made.owner == 1) & ~mask).any())
+        assert not bool(made.holes.any())
+
+
+def test_parts_may_hang_out_and_come_from_several_exemplars() -> None:
+    image = noise(3, 10, 10)
+    whole = torch.ones(10, 10, dtype=torch.bool)
+    parts = [
+        part(image, whole, (-4, -3)),
+        part(image, whole, (20, 0)),
+        part(image, whole, (2, 9), 1),
+    ]
+    made = stitch(parts, (12, 16))
+    assert torch.equal(made.texture[:, :6, :7], image[:, 4:, 3:])
+    assert not bool((made.owner == 1).any())
+    assert bool((made.positions[made.owner == 2][:, 0] == 1).all())
+
+
+def test_positions_of_turned_parts_render_them() -> None:
+    z = noise(3, 16, 16)
+    made = stitch([Part(deform(z, Deformation(rotate=25.0)))], (16, 16))
+    shown = copied(made.positions, ((16, 16),)).apply(z)
+    assert torch.equal(shown[:, ~made.holes], made.texture[:, ~made.holes])
+
+
+def test_bad_input_is_refused() -> None:
+    with pytest.raises(ValueError, match="parts is empty"):
+        stitch([], (4, 4))
+    with pytest.raises(ValueError, match="band=-1"):
+        stitch([part(noise(1, 4, 4), torch.ones(4, 4, dtype=torch.bool))], (4, 4), band=-1)

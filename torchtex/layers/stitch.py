@@ -1,0 +1,166 @@
+"""Deformed layers put together: seams by min-cut where they overlap, a mask where none is.
+
+Layers are laid down one after another. Where a layer meets what is there, the seam between both
+minimises
+
+    W(s, t) = |C_i(s) - C_j(s)| + |C_i(t) - C_j(t)|
+
+over neighbouring pixels s and t. The paper leaves open what keeps the seam from going around a
+layer that lies wholly on another, which would be cheapest: here the inside of the later layer, all
+that is farther than `band` pixels from its border, stays.
+
+Source: Shen et al. 2006, Completion-based texture design, section 3.4, equations 3 and 4.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from torchtex.cuts.mincut import MinCut, default_solver
+from torchtex.cuts.seams import cut_seam
+from torchtex.layers.deform import Deformed
+
+Window = tuple[slice, slice]
+Index = tuple[Tensor, Tensor]
+
+
+@dataclass(frozen=True)
+class Part:
+    """A deformed layer, or a child of one, and where it lies.
+
+    Args:
+        deformed: its pixels, where they come from, and its mask.
+        at: row and column of its first pixel; it may hang out of the canvas.
+        exemplar: number of the picture that it is from.
+    """
+
+    deformed: Deformed
+    at: tuple[int, int] = (0, 0)
+    exemplar: int = 0
+
+
+@dataclass(frozen=True)
+class Stitched:
+    """Layers in one picture.
+
+    Args:
+        texture: (c, h, w); 0 in the holes.
+        positions: exemplar, row and column of every pixel; 0 in the holes.
+        owner: number of the part that each pixel shows, -1 for none.
+    """
+
+    texture: Float[Tensor, "c h w"]
+    positions: Float[Tensor, "h w 3"]
+    owner: Int[Tensor, "h w"]
+
+    @property
+    def holes(self) -> Bool[Tensor, "h w"]:
+        """True where no layer is: the complement of the mask of equation 4."""
+        return self.owner < 0
+
+
+def stitch(
+    parts: Sequence[Part],
+    size: tuple[int, int],
+    *,
+    band: int = 4,
+    solver: MinCut | None = None,
+) -> Stitched:
+    """Parts laid over each other, the first one lowest, joined along seams of least cost.
+
+    Args:
+        size: (height, width) of the canvas.
+        band: pixels inside the border of a part that the seam may run through; a part that is
+            narrower keeps its middle.
+        solver: of the min-cuts; None for the first one that is installed.
+
+    Raises:
+        ValueError: no part, or a negative band.
+        ImportError: no min-cut solver is installed.
+
+    Example:
+        >>> from torchtex.layers.deform import Deformation, deform
+        >>> z = torch.rand(3, 12, 12)
+        >>> left, right = (deform(z, Deformation((0.0, dx))) for dx in (-4.0, 4.0))
+        >>> made = stitch([Part(left), Part(right)], (12, 14))
+        >>> made.holes[:, 12:].all().item(), made.holes[:, :12].any().item()
+        (True, False)
+    """
+    if not parts:
+        raise ValueError("parts is empty; give at least one")
+    if band < 0:
+        raise ValueError(f"band={band} must be at least 0 pixels")
+    solver = default_solver() if solver is None else solver
+    like = parts[0].deformed.texture
+    texture = like.new_zeros(len(like), *size)
+    positions = torch.zeros(*size, 3, device=like.device)
+    owner = torch.full(size, -1, dtype=torch.long, device=like.device)
+    for number, part in enumerate(parts):
+        window, own, mask = _windows(part, size)
+        if not bool(mask.any()):
+            continue
+        old, new = texture[:, window[0], window[1]], part.deformed.texture[:, own[0], own[1]]
+        known = owner[window] >= 0
+        shown = _cut(old, new, known, mask, band, solver) if bool((known & mask).any()) else mask
+        source = _positions(part, own)
+        texture[:, window[0], window[1]] = torch.where(shown, new, old)
+        positions[window] = torch.where(shown[..., None], source, positions[window])
+        owner[window] = torch.where(shown, number, owner[window])
+    return Stitched(texture, positions, owner)
+
+
+def _windows(part: Part, size: tuple[int, int]) -> tuple[Window, Index, Bool[Tensor, "h w"]]:
+    """Rows and columns of the canvas under a part and around it, those of the part, its mask."""
+    mask = part.deformed.mask
+    canvas, own, inside = [], [], []
+    for axis, (start, extent) in enumerate(zip(part.at, size, strict=True)):
+        taken = mask.any(1 - axis).nonzero().flatten()
+        first, last = (int(taken[0]), int(taken[-1]) + 1) if len(taken) else (0, 0)
+        low = min(max(0, start + first - 1), extent)
+        high = max(low, min(extent, start + last + 1))
+        line = torch.arange(low - start, high - start, device=mask.device)
+        canvas.append(slice(low, high))
+        own.append(line.clamp(0, mask.shape[axis] - 1))
+        inside.append((line >= 0) & (line < mask.shape[axis]))
+    index = (own[0][:, None], own[1])
+    return (canvas[0], canvas[1]), index, mask[index] & inside[0][:, None] & inside[1]
+
+
+def _positions(part: Part, own: Index) -> Float[Tensor, "h w 3"]:
+    layers = part.deformed.field.positions  # of a shrunk one, the middle of its samples
+    found = layers[len(layers) // 2][own].float()
+    found[..., 0] = part.exemplar
+    return found
+
+
+def _cut(
+    old: Tensor, new: Tensor, known: Tensor, mask: Tensor, band: int, solver: MinCut
+) -> Bool[Tensor, "h w"]:
+    """Which pixels a new part covers."""
+    both = known & mask
+    apart = torch.where(both, (old - new).square().sum(0).sqrt(), 0)
+    costs = []
+    for axis in (1, 0):
+        count = both.shape[axis] - 1
+        some = both.narrow(axis, 0, count).to(apart) + both.narrow(axis, 1, count)
+        # a pixel beyond the overlap has one picture only: its neighbour counts for it
+        total = apart.narrow(axis, 0, count) + apart.narrow(axis, 1, count)
+        costs.append(total * 2 / some.clamp(min=1))
+    inside = _inner(mask, band)
+    second = mask & (~known | inside)
+    labels = cut_seam(costs[0], costs[1], known & ~mask, second, solver=solver)
+    return labels & mask
+
+
+def _inner(mask: Tensor, band: int) -> Bool[Tensor, "h w"]:
+    """The pixels farther than the band from the mask's border; of narrow masks, the innermost."""
+    outside = (~mask)[None].float()
+    while True:
+        near = F.max_pool2d(F.pad(outside, (band,) * 4, value=1.0), 2 * band + 1, 1)[0] > 0
+        if bool((~near).any()) or band == 0:
+            return ~near
+        band //= 2
