@@ -46,6 +46,7 @@ FLOORS = (
         "volumes.meshes",
         "render.raster",
         "render.shapes",
+        "render.views",
     ),
     (
         "energy",
@@ -63,6 +64,7 @@ FLOORS = (
         "volumes.slices",
         "volumes.histograms",
         "render.scene",
+        "render.solids",
     ),
     (
         "controls",
@@ -89,7 +91,14 @@ FLOORS = (
         "recipes.correspondence",
         "recipes.strokes",
     ),
-    ("result", "recipes.analogy", "recipes.tile_parts", "recipes.pieces", "recipes.solid_parts"),
+    (
+        "result",
+        "recipes.analogy",
+        "recipes.tile_parts",
+        "recipes.patch_finders",
+        "recipes.pieces",
+        "recipes.solid_parts",
+    ),
     ("synthesize", "recipes.quilting", "recipes.cms", "recipes.completion"),
     ("recipes",),
     ("recipes.design", "recipes.skeletal_solid"),
