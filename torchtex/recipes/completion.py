@@ -263,7 +263,7 @@ def _known_views(z: Tensor, usable: Tensor | None) -> Float[Tensor, "5 c h w"]:
     return views if usable is None else torch.where(patch_views(usable[None].to(z)) > 0, views, z)
 
 
-def _canvas(image: Tensor, known: Tensor, positions: Tensor | None, own: bool, rim: int) -> _Canvas:
+def _canvas(image: Tensor, known: Tensor, positions: Tensor | None, rim: int) -> _Canvas:
     near = F.max_pool2d((~known)[None].double(), 2 * rim + 1, 1, rim)[0] > 0
     if positions is None:
         positions = F.pad(pixel_places(known.shape, image.device), (1, 0)).float()
