@@ -32,7 +32,12 @@ def test_every_pixel_is_of_a_part_that_has_it_and_others_are_holes(solver: MinCu
         boxed((20, 24), slice(8, 18), slice(2, 14)),
         boxed((20, 24), slice(4, 14), slice(10, 20)),
     ]
-    made = stitch([part(i, m) for i, m in zip(images, masks, strict=True)], (20, 24), solver=solver)
+    made = stitch(
+        [part(i, m) for i, m in zip(images, masks, strict=True)],
+        (20, 24),
+        narrowest=1,
+        solver=solver,
+    )
     assert torch.equal(made.holes, ~torch.stack(masks).any(0))
     assert not bool(made.texture[:, made.holes].any())
     for number, (image, mask) in enumerate(zip(images, masks, strict=True)):
@@ -46,9 +51,11 @@ def test_every_pixel_is_of_a_part_that_has_it_and_others_are_holes(solver: MinCu
 def test_the_seam_is_the_cheapest_one(solver: MinCut) -> None:
     old, new = noise(1, 3, 5, seed=4), noise(1, 3, 5, seed=5)
     masks = boxed((3, 5), slice(0, 3), slice(0, 4)), boxed((3, 5), slice(0, 3), slice(1, 5))
-    made = stitch([part(old, masks[0]), part(new, masks[1])], (3, 5), band=9, solver=solver)
+    made = stitch(
+        [part(old, masks[0]), part(new, masks[1])], (3, 5), band=2, narrowest=1, solver=solver
+    )
     core = torch.zeros(3, 5, dtype=torch.bool)
-    core[1, 2:4] = True  # what a band of 9, halved until something is left, leaves
+    core[1, 2:4] = True  # what half the band leaves
     apart = (old - new).abs()[0]
     apart[:, [0, 4]] = 0
 
@@ -78,18 +85,31 @@ def test_the_seam_is_the_cheapest_one(solver: MinCut) -> None:
     assert cost(labels) == pytest.approx(least)
 
 
-def test_a_part_on_another_stays_and_a_thin_one_too() -> None:
+def test_a_part_on_another_stays_unless_it_is_too_thin() -> None:
     ground, thing = torch.zeros(1, 24, 24).double(), torch.ones(1, 24, 24).double()
     everywhere = torch.ones(24, 24, dtype=torch.bool)
-    for mask in (
-        boxed((24, 24), slice(6, 18), slice(6, 18)),
-        boxed((24, 24), slice(3, 20), slice(10, 12)),
-        boxed((24, 24), slice(5, 6), slice(5, 6)),
+    for mask, stays in (
+        (boxed((24, 24), slice(6, 18), slice(6, 18)), True),
+        (boxed((24, 24), slice(3, 20), slice(10, 15)), True),
+        (boxed((24, 24), slice(3, 20), slice(10, 12)), False),
+        (boxed((24, 24), slice(5, 6), slice(5, 6)), False),
     ):
-        made = stitch([part(ground, everywhere), part(thing, mask)], (24, 24))
-        assert bool((made.owner == 1).any())
+        made = stitch([part(ground, everywhere), part(thing, mask)], (24, 24), narrowest=1)
+        assert bool((made.owner == 1).any()) == stays
         assert not bool(((made.owner == 1) & ~mask).any())
         assert not bool(made.holes.any())
+
+
+def test_slivers_become_holes_and_wide_parts_stay() -> None:
+    image = noise(3, 20, 20)
+    for mask, holes in (
+        (boxed((20, 20), slice(0, 20), slice(8, 12)), True),
+        (boxed((20, 20), slice(5, 10), slice(8, 13)), False),
+        (boxed((20, 20), slice(0, 3), slice(8, 20)), False),  # as if it went on outside
+    ):
+        made = stitch([part(image, mask)], (20, 20), narrowest=5)
+        assert torch.equal(made.holes, torch.ones_like(mask) if holes else ~mask)
+        assert not bool(made.texture[:, made.holes].any())
 
 
 def test_parts_may_hang_out_and_come_from_several_exemplars() -> None:
@@ -100,7 +120,7 @@ def test_parts_may_hang_out_and_come_from_several_exemplars() -> None:
         part(image, whole, (20, 0)),
         part(image, whole, (2, 9), 1),
     ]
-    made = stitch(parts, (12, 16))
+    made = stitch(parts, (12, 16), narrowest=1)
     assert torch.equal(made.texture[:, :6, :7], image[:, 4:, 3:])
     assert not bool((made.owner == 1).any())
     assert bool((made.positions[made.owner == 2][:, 0] == 1).all())
@@ -116,5 +136,7 @@ def test_positions_of_turned_parts_render_them() -> None:
 def test_bad_input_is_refused() -> None:
     with pytest.raises(ValueError, match="parts is empty"):
         stitch([], (4, 4))
+    with pytest.raises(ValueError, match="narrowest=0"):
+        stitch([part(noise(1, 4, 4), torch.ones(4, 4, dtype=torch.bool))], (4, 4), narrowest=0)
     with pytest.raises(ValueError, match="band=-1"):
         stitch([part(noise(1, 4, 4), torch.ones(4, 4, dtype=torch.bool))], (4, 4), band=-1)

@@ -7,7 +7,8 @@ minimises
 
 over neighbouring pixels s and t. The paper leaves open what keeps the seam from going around a
 layer that lies wholly on another, which would be cheapest: here the inside of the later layer, all
-that is farther than `band` pixels from its border, stays.
+that is farther than `band` pixels from its border, stays. Slivers that are left between seams show
+nothing, and become holes too.
 
 Source: Shen et al. 2006, Completion-based texture design, section 3.4, equations 3 and 4.
 """
@@ -68,18 +69,21 @@ def stitch(
     size: tuple[int, int],
     *,
     band: int = 4,
+    narrowest: int = 5,
     solver: MinCut | None = None,
 ) -> Stitched:
     """Parts laid over each other, the first one lowest, joined along seams of least cost.
 
     Args:
         size: (height, width) of the canvas.
-        band: pixels inside the border of a part that the seam may run through; a part that is
-            narrower keeps its middle.
+        band: pixels inside the border of a part that the seam may run through; of a part that is
+            narrower, half of them, and one that has no inside then shows where it is cheap to.
+        narrowest: side of a square; what is shown of a part is made of such squares, and the rest
+            of it is a hole.
         solver: of the min-cuts; None for the first one that is installed.
 
     Raises:
-        ValueError: no part, or a negative band.
+        ValueError: no part, a negative band, or narrowest below 1.
         ImportError: no min-cut solver is installed.
 
     Example:
@@ -87,13 +91,15 @@ def stitch(
         >>> z = torch.rand(3, 12, 12)
         >>> left, right = (deform(z, Deformation((0.0, dx))) for dx in (-4.0, 4.0))
         >>> made = stitch([Part(left), Part(right)], (12, 14))
-        >>> made.holes[:, 12:].all().item(), made.holes[:, :12].any().item()
-        (True, False)
+        >>> made.owner[0, 0].item(), made.owner[0, 11].item(), made.holes[:, 12:].all().item()
+        (0, 1, True)
     """
     if not parts:
         raise ValueError("parts is empty; give at least one")
     if band < 0:
         raise ValueError(f"band={band} must be at least 0 pixels")
+    if narrowest < 1:
+        raise ValueError(f"narrowest={narrowest} must be at least 1 pixel")
     solver = default_solver() if solver is None else solver
     like = parts[0].deformed.texture
     texture = like.new_zeros(len(like), *size)
@@ -110,7 +116,21 @@ def stitch(
         texture[:, window[0], window[1]] = torch.where(shown, new, old)
         positions[window] = torch.where(shown[..., None], source, positions[window])
         owner[window] = torch.where(shown, number, owner[window])
+    owner = torch.where(_wide(owner, narrowest), owner, -1)
+    holes = owner < 0
+    texture[:, holes], positions[holes] = 0.0, 0.0
     return Stitched(texture, positions, owner)
+
+
+def _wide(owner: Tensor, side: int) -> Bool[Tensor, "h w"]:
+    """Pixels in some square of one owner; squares may hang out of the canvas."""
+    half = (side - 1) // 2
+    around = (half, side - 1 - half) * 2
+    x = owner[None].double()
+    high = F.max_pool2d(F.pad(x, around, value=-2.0), side, 1)
+    low = -F.max_pool2d(F.pad(-x, around, value=-torch.inf), side, 1)
+    alike = F.pad((high == low).double(), around[::-1])
+    return F.max_pool2d(alike, side, 1)[0] > 0
 
 
 def _windows(part: Part, size: tuple[int, int]) -> tuple[Window, Index, Bool[Tensor, "h w"]]:
@@ -157,10 +177,10 @@ def _cut(
 
 
 def _inner(mask: Tensor, band: int) -> Bool[Tensor, "h w"]:
-    """The pixels farther than the band from the mask's border; of narrow masks, the innermost."""
+    """The pixels farther than the band from the mask's border; of narrow masks, half the band."""
     outside = (~mask)[None].float()
-    while True:
-        near = F.max_pool2d(F.pad(outside, (band,) * 4, value=1.0), 2 * band + 1, 1)[0] > 0
-        if bool((~near).any()) or band == 0:
-            return ~near
-        band //= 2
+    for reach in (band, band // 2):
+        near = F.max_pool2d(F.pad(outside, (reach,) * 4, value=1.0), 2 * reach + 1, 1)[0] > 0
+        if bool((~near).any()):
+            break
+    return ~near
