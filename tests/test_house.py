@@ -49,6 +49,7 @@ FLOORS = (
         "render.views",
     ),
     (
+        "bands",
         "energy",
         "metrics",
         "patches",
@@ -90,12 +91,14 @@ FLOORS = (
         "recipes.montage",
         "recipes.correspondence",
         "recipes.strokes",
+        "recipes.slice_models",
     ),
     (
         "result",
         "recipes.analogy",
         "recipes.tile_parts",
         "recipes.patch_finders",
+        "recipes.layer_pieces",
         "recipes.pieces",
         "recipes.solid_parts",
     ),

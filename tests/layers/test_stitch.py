@@ -92,7 +92,7 @@ def test_a_part_on_another_stays_unless_it_is_too_thin() -> None:
         (boxed((24, 24), slice(6, 18), slice(6, 18)), True),
         (boxed((24, 24), slice(3, 20), slice(10, 15)), True),
         (boxed((24, 24), slice(3, 20), slice(10, 12)), False),
-        (boxed((24, 24), slice(5, 6), slice(5, 6)), False),
+        (boxed((24, 24), slice(5, 7), slice(5, 7)), False),
     ):
         made = stitch([part(ground, everywhere), part(thing, mask)], (24, 24), narrowest=1)
         assert bool((made.owner == 1).any()) == stays
@@ -104,8 +104,9 @@ def test_slivers_become_holes_and_wide_parts_stay() -> None:
     image = noise(3, 20, 20)
     for mask, holes in (
         (boxed((20, 20), slice(0, 20), slice(8, 12)), True),
-        (boxed((20, 20), slice(5, 10), slice(8, 13)), False),
-        (boxed((20, 20), slice(0, 3), slice(8, 20)), False),  # as if it went on outside
+        (boxed((20, 20), slice(5, 10), slice(8, 13)), True),  # one square alone
+        (boxed((20, 20), slice(4, 13), slice(5, 14)), False),
+        (boxed((20, 20), slice(0, 3), slice(2, 20)), False),  # as if it went on outside
     ):
         made = stitch([part(image, mask)], (20, 20), narrowest=5)
         assert torch.equal(made.holes, torch.ones_like(mask) if holes else ~mask)

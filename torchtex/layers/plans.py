@@ -33,7 +33,7 @@ class Ranges:
     """How far operations may go, from the least to the most.
 
     Args:
-        translate: shares of the layer's shorter side.
+        translate: shares of the picture's shorter side.
         rotate: degrees.
         scale: factors; those of the paper.
 
@@ -110,7 +110,7 @@ class Operation:
     Args:
         kind: translate, rotate, mirror or scale.
         direction: one of `DIRECTIONS[kind]`.
-        amount: share of the layer's shorter side, degrees, or factor; 0 for mirror.
+        amount: share of the picture's shorter side, degrees, or factor; 0 for mirror.
 
     Raises:
         ValueError: a kind, direction or amount that there is not.

@@ -24,6 +24,7 @@ from torch import Tensor
 from torchtex.cuts.mincut import MinCut, default_solver
 from torchtex.cuts.seams import cut_seam
 from torchtex.layers.deform import Deformed
+from torchtex.patches import box_sums, summed_area
 
 Window = tuple[slice, slice]
 Index = tuple[Tensor, Tensor]
@@ -78,8 +79,8 @@ def stitch(
         size: (height, width) of the canvas.
         band: pixels inside the border of a part that the seam may run through; of a part that is
             narrower, half of them, and one that has no inside then shows where it is cheap to.
-        narrowest: side of a square; what is shown of a part is made of such squares, and the rest
-            of it is a hole.
+        narrowest: side of a square; what is shown of a part is made of such squares, none of them
+            alone or in a handful, and the rest of it is a hole.
         solver: of the min-cuts; None for the first one that is installed.
 
     Raises:
@@ -116,7 +117,8 @@ def stitch(
         texture[:, window[0], window[1]] = torch.where(shown, new, old)
         positions[window] = torch.where(shown[..., None], source, positions[window])
         owner[window] = torch.where(shown, number, owner[window])
-    owner = torch.where(_wide(owner, narrowest), owner, -1)
+    if narrowest > 1:
+        owner = torch.where(_wide(owner, narrowest), owner, -1)
     holes = owner < 0
     texture[:, holes], positions[holes] = 0.0, 0.0
     return Stitched(texture, positions, owner)
@@ -129,8 +131,20 @@ def _wide(owner: Tensor, side: int) -> Bool[Tensor, "h w"]:
     x = owner[None].double()
     high = F.max_pool2d(F.pad(x, around, value=-2.0), side, 1)
     low = -F.max_pool2d(F.pad(-x, around, value=-torch.inf), side, 1)
-    alike = F.pad((high == low).double(), around[::-1])
-    return F.max_pool2d(alike, side, 1)[0] > 0
+    alike = (high == low) & (_seen(owner, 3 * side) >= 3 * side**2)
+    return F.max_pool2d(F.pad(alike.double(), around[::-1]), side, 1)[0] > 0
+
+
+def _seen(owner: Tensor, side: int) -> Float[Tensor, "h w"]:
+    """Pixels of the same owner in a square around each pixel; beyond the canvas it goes on."""
+    count = torch.zeros(owner.shape, dtype=torch.float64, device=owner.device)
+    half = (side - 1) // 2
+    around = (half, side - 1 - half) * 2
+    wide = F.pad(owner[None].double(), around, mode="replicate")[0]
+    for number in owner.unique().tolist():
+        seen = box_sums(summed_area((wide == number).double()), side, side)
+        count = torch.where(owner == number, seen, count)
+    return count
 
 
 def _windows(part: Part, size: tuple[int, int]) -> tuple[Window, Index, Bool[Tensor, "h w"]]:

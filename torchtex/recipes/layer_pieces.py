@@ -1,0 +1,165 @@
+"""Pieces of layers: what they are, and where an operation of a plan brings them."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchtex.layers.deform import Deformation, deform
+from torchtex.layers.plans import Operation
+from torchtex.layers.segment import Segmentation
+from torchtex.layers.stitch import Part
+
+_TORN = 1 / 40  # of the exemplar: smaller pieces at its border are left out
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A child layer, or a layer, where it lies in the canvas before it is deformed.
+
+    Args:
+        exemplar, layer: numbers of them.
+        mask: its pixels in the exemplar.
+        box: the rows and columns that hold them.
+        shift: rows and columns from the exemplar to the canvas.
+    """
+
+    exemplar: int
+    layer: int
+    mask: Tensor
+    box: tuple[slice, slice]
+    shift: tuple[int, int]
+
+    @property
+    def area(self) -> int:
+        """Pixels of it."""
+        return int(self.mask.sum())
+
+
+def pieces_of(
+    zs: Sequence[Tensor],
+    segmentations: Sequence[Segmentation],
+    size: tuple[int, int],
+    children: bool,
+    generator: torch.Generator,
+) -> list[Piece]:
+    """The pieces of as many copies of exemplars as cover a canvas.
+
+    Args:
+        children: a piece is a child of a layer, rather than the layer.
+        generator: draws the exemplars of the copies, where there are several.
+
+    Example:
+        >>> labels = torch.zeros(8, 8, dtype=torch.long)
+        >>> labels[2:6, 2:6] = 1
+        >>> z, made = torch.rand(1, 8, 8), Segmentation(labels, labels)
+        >>> [piece.area for piece in pieces_of([z], [made], (8, 8), True, torch.Generator())]
+        [48, 16]
+    """
+    pieces = []
+    for number, top, left in _copies(zs, size, generator):
+        made = segmentations[number]
+        for mask in _masks(made, children):
+            rows, cols = (mask.any(axis).nonzero().flatten() for axis in (1, 0))
+            box = (slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1))
+            low = (box[0].start + top, box[1].start + left)
+            high = (box[0].stop + top, box[1].stop + left)
+            if low[0] < size[0] and low[1] < size[1] and min(high) > 0:
+                layer = int(made.labels[mask][0])
+                pieces.append(Piece(number, layer, mask, box, (top, left)))
+    return pieces
+
+
+def _masks(made: Segmentation, children: bool) -> list[Tensor]:
+    """Those of the pieces, less those that are torn."""
+    labels = made.children if children else made.labels
+    found: list[Tensor] = []
+    for layer in range(made.count):
+        mine = made.labels == layer
+        masks = [labels == int(label) for label in labels[mine].unique()]
+        whole = [m for m in masks if not _torn(m)]
+        found += whole or masks
+    return found
+
+
+def _torn(mask: Tensor) -> bool:
+    """Whether the border of the exemplar cuts off a small piece."""
+    edge = mask[0].any() | mask[-1].any() | mask[:, 0].any() | mask[:, -1].any()
+    return bool(edge) and int(mask.sum()) < _TORN * mask.numel()
+
+
+def _copies(
+    zs: Sequence[Tensor], size: tuple[int, int], generator: torch.Generator
+) -> list[tuple[int, int, int]]:
+    """Exemplar, top and left of the copies that cover the canvas: one if it has its size."""
+    h, w = zs[0].shape[1], zs[0].shape[2]
+    if (h, w) == size and len(zs) == 1:
+        return [(0, 0, 0)]
+    heights, widths = min(z.shape[1] for z in zs), min(z.shape[2] for z in zs)
+    found = []
+    for top in range(0, size[0], heights):
+        for left in range(0, size[1], widths):
+            found.append((int(torch.randint(len(zs), (1,), generator=generator)), top, left))
+    return found
+
+
+def part_of(
+    z: Tensor, piece: Piece, operations: Sequence[Operation], size: tuple[int, int]
+) -> Part:
+    """A piece deformed, in a window that holds it.
+
+    Example:
+        >>> mask = torch.ones(4, 4, dtype=torch.bool)
+        >>> piece = Piece(0, 0, mask, (slice(0, 4), slice(0, 4)), (10, 10))
+        >>> made = part_of(torch.rand(1, 4, 4), piece, [Operation("rotate", "clockwise", 90.0)],
+        ...                (30, 30))
+        >>> int(made.deformed.mask.sum())
+        16
+    """
+    rows, cols = piece.box
+    middle = ((rows.start + rows.stop - 1) / 2, (cols.start + cols.stop - 1) / 2)
+    place = (middle[0] + piece.shift[0], middle[1] + piece.shift[1])
+    side = min(z.shape[1:])
+    steps = [deformation(one, side, place, size) for one in operations]
+    reach = math.hypot(rows.stop - rows.start, cols.stop - cols.start) / 2
+    reach = 1 + math.ceil(reach * math.prod(s.scale for s in steps))
+    moved = [sum(s.translate[axis] for s in steps) for axis in (0, 1)]
+    # other steps turn about the middle before the move, or after it
+    swing = math.ceil(math.hypot(*moved)) if len(steps) > 1 else 0
+    low = [math.floor(m + d) - reach - swing for m, d in zip(middle, moved, strict=True)]
+    window = 2 * (reach + swing) + 2
+    bring = Deformation((float(-low[0]), float(-low[1])))
+    made = deform(z, [*steps, bring], mask=piece.mask, pivot=middle, size=(window, window))
+    return Part(made, (low[0] + piece.shift[0], low[1] + piece.shift[1]), piece.exemplar)
+
+
+def deformation(
+    operation: Operation, side: int, place: tuple[float, float], size: tuple[int, int]
+) -> Deformation:
+    """An operation as a deformation; a move that would leave the canvas goes the other way.
+
+    Args:
+        side: shorter side of the picture, that moves are shares of.
+        place: row and column of the layer's middle in the canvas.
+        size: of the canvas.
+
+    Example:
+        >>> deformation(Operation("translate", "up", 0.1), 50, (2.0, 9.0), (40, 40)).translate
+        (5.0, 0.0)
+    """
+    amount = operation.amount
+    if operation.kind == "rotate":
+        return Deformation(rotate=amount if operation.direction == "anticlockwise" else -amount)
+    if operation.kind == "scale":
+        return Deformation(scale=amount)
+    if operation.kind == "mirror":
+        across = operation.direction == "left-right"
+        return Deformation(mirror=across, flip=not across)
+    axis = 0 if operation.direction in ("up", "down") else 1
+    distance = float(round(amount * side))
+    sign = -1.0 if operation.direction in ("up", "left") else 1.0
+    if not 0 <= place[axis] + sign * distance < size[axis]:
+        sign = -sign
+    return Deformation((sign * distance, 0.0) if axis == 0 else (0.0, sign * distance))
