@@ -92,6 +92,7 @@ FLOORS = (
         "recipes.correspondence",
         "recipes.strokes",
         "recipes.slice_models",
+        "recipes.solid_places",
     ),
     (
         "result",
@@ -102,9 +103,11 @@ FLOORS = (
         "recipes.pieces",
         "recipes.solid_parts",
     ),
-    ("synthesize", "recipes.quilting", "recipes.cms", "recipes.completion"),
+    ("synthesize", "recipes.solid_result", "recipes.quilting", "recipes.cms", "recipes.completion"),
     ("recipes",),
-    ("recipes.design", "recipes.skeletal_solid"),
+    ("recipes.design_parts", "recipes.skeletal_solid"),
+    ("recipes.design",),
+    ("recipes.design_file",),
     ("cli",),
 )
 FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}

@@ -1,0 +1,84 @@
+"""Places in exemplars: pixels of several as one table, and where they lie at a finer scale."""
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchtex.volumes.slices import PLANES
+
+
+def table_of(pictures: Sequence[Float[Tensor, "k _ _"]]) -> Float[Tensor, "t k"]:
+    """Pixels of all pictures, row by row."""
+    return torch.cat([z.permute(1, 2, 0).reshape(-1, len(z)) for z in pictures])
+
+
+def shapes_of(pictures: Sequence[Tensor]) -> tuple[tuple[int, int], ...]:
+    """Height and width of each."""
+    return tuple((z.shape[1], z.shape[2]) for z in pictures)
+
+
+def places_of(
+    pixel: Int[Tensor, "d h w"], shapes: Sequence[tuple[int, int]]
+) -> Int[Tensor, "d h w 3"]:
+    """Exemplar, row and column of pixels in the table, as 16-bit numbers.
+
+    Example:
+        >>> places_of(torch.full((1, 1, 1), 21), ((4, 4), (2, 3))).flatten().tolist()
+        [1, 1, 2]
+    """
+    out = torch.zeros(*pixel.shape, 3, dtype=torch.int16, device=pixel.device)
+    first = 0
+    for number, (height, width) in enumerate(shapes):
+        here = (pixel >= first) & (pixel < first + height * width)
+        own = pixel[here] - first
+        row = torch.div(own, width, rounding_mode="floor")
+        which = torch.full_like(own, number)
+        out[here] = torch.stack([which, row, own % width], 1).to(torch.int16)
+        first += height * width
+    return out
+
+
+def finer_places(
+    pixel: Int[Tensor, "d h w"],
+    axis: Int[Tensor, "d h w"],
+    coarse: Sequence[tuple[int, int]],
+    fine: Sequence[tuple[int, int]],
+    extent: Sequence[int],
+) -> Int[Tensor, "d2 h2 w2"]:
+    """Pixels of finer exemplars for the voxels of a finer volume: sharp from the first step on.
+
+    A voxel came from a slice across `axis`; those that it becomes take, in that plane, the pixels
+    that its exemplar pixel becomes.
+
+    Args:
+        coarse, fine: height and width of each exemplar at the two scales.
+        extent: of the finer volume.
+    """
+    parents, shifts = [], []
+    for dim, (many, few) in enumerate(zip(extent, pixel.shape, strict=True)):
+        centre = (torch.arange(many, device=pixel.device) + 0.5) * few / many
+        parent = centre.long().clamp_(max=few - 1)
+        parents.append(parent)
+        shape = [1, 1, 1]
+        shape[dim] = many
+        shifts.append((centre - parent - 0.5).view(shape).expand(*extent))
+    z, y, x = parents
+    places = places_of(pixel, coarse)[z][:, y][:, :, x].long()
+    across = axis[z][:, y][:, :, x]
+    out = torch.zeros(*extent, dtype=torch.long, device=pixel.device)
+    first = 0
+    for number, (old, new) in enumerate(zip(coarse, fine, strict=True)):
+        for cut, plane in enumerate(PLANES):
+            here = (places[..., 0] == number) & (across == cut)
+            spots = [
+                ((places[..., 1 + n][here] + 0.5 + shifts[side][here]) * new[n] / old[n] - 0.5)
+                .round()
+                .long()
+                .clamp_(0, new[n] - 1)
+                for n, side in enumerate(plane)
+            ]
+            out[here] = first + spots[0] * new[1] + spots[1]
+        first += new[0] * new[1]
+    return out
