@@ -23,7 +23,7 @@ from torchtex.recipes.solid_parts import (
 from torchtex.recipes.solid_places import finer_places, places_of, shapes_of, table_of
 from torchtex.recipes.solid_result import Solid, SolidCheckpoint, SolidStep, SolidTrace
 from torchtex.schedule import Level
-from torchtex.volumes.slices import groups
+from torchtex.volumes.slices import Group, groups
 
 DIMENSIONS = 48
 """Principal axes of neighborhoods that are compared."""
@@ -124,7 +124,10 @@ def solid(
     levels = fitting_levels(sides, size, schedule or solid_schedule())
     check_solid(size, len(sides.images[0]), levels[-1].size, seed)
     run = Run(sides, size, levels, solving, seed, settings_of("kopf", sides, size, levels, solving))
-    return run.solve(on_step, on_level, resume)
+    began = time.perf_counter()
+    state = run.solve(on_step, on_level, resume)
+    earlier = 0.0 if resume is None else sum(trace.seconds for trace in resume.traces)
+    return run.finished(state, time.perf_counter() - began + earlier)
 
 
 def settings_of(
@@ -180,9 +183,8 @@ class Run:
         on_step: Callable[[SolidStep], None] | None = None,
         on_level: Callable[[SolidCheckpoint], None] | None = None,
         resume: SolidCheckpoint | None = None,
-    ) -> Solid:
-        """All levels, coarse to fine."""
-        began = time.perf_counter()
+    ) -> SolidCheckpoint:
+        """All levels, coarse to fine; what the last one leaves."""
         generator = torch.Generator().manual_seed(self.seed)
         state = SolidCheckpoint(self.seed, self.settings, generator.get_state())
         if resume is not None:
@@ -190,11 +192,10 @@ class Run:
             generator.set_state(state.randomness)
         for number in range(len(state.traces), len(self.levels)):
             start = self._start(number, state, generator)
-            state = self._level(number, start, state, generator, on_step)
+            state = self.solve_level(number, start, state, generator, on_step)
             if on_level is not None:
                 on_level(state)
-        earlier = 0.0 if resume is None else sum(trace.seconds for trace in resume.traces)
-        return self.finished(state, time.perf_counter() - began + earlier)
+        return state
 
     def finished(self, state: SolidCheckpoint, seconds: float) -> Solid:
         """The result of a run of which all levels are done."""
@@ -230,7 +231,7 @@ class Run:
         fine = shapes_of(pictures)
         return table[finer_places(state.pixel, state.axis, coarse, fine, extent)]
 
-    def _level(
+    def solve_level(
         self,
         number: int,
         volume: Float[Tensor, "d h w k"],
@@ -244,15 +245,7 @@ class Run:
         models, table, weights = self.models(level, generator)
         energies, count, pixel, axis = [], 0, None, None
         for step in range(level.steps):
-            extent = (volume.shape[0], volume.shape[1], volume.shape[2])
-            shift = torch.randint(level.size, (2,), generator=generator)
-            stride = level.stride or max(1, level.size // 4)
-            pairs = [
-                (models[which], group)
-                for axis_, which in enumerate(self.sides.axes)
-                if which is not None
-                for group in groups(extent, axis_, level.size, stride, shift)
-            ]
+            pairs = self.windows(level, models, volume.shape, generator)
             matches, energy, count = match(
                 volume, pairs, completeness=self.solving.completeness, r=self.solving.r
             )
@@ -266,6 +259,24 @@ class Run:
         return SolidCheckpoint(
             self.seed, self.settings, generator.get_state(), (*state.traces, trace), pixel, axis
         )
+
+    def windows(
+        self,
+        level: Level,
+        models: Sequence[SliceModel],
+        shape: Sequence[int],
+        generator: torch.Generator,
+    ) -> list[tuple[SliceModel, Group]]:
+        """Windows on all slices of a volume, at places drawn anew, and whom they follow."""
+        extent = (shape[0], shape[1], shape[2])
+        shift = torch.randint(level.size, (2,), generator=generator)
+        stride = level.stride or max(1, level.size // 4)
+        return [
+            (models[which], group)
+            for axis, which in enumerate(self.sides.axes)
+            if which is not None
+            for group in groups(extent, axis, level.size, stride, shift)
+        ]
 
     def models(
         self, level: Level, generator: torch.Generator
