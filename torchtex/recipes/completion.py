@@ -158,7 +158,7 @@ class _Canvas:
 class _Run:
     canvas: _Canvas
     finder: Finder
-    views: Sequence[Float[Tensor, "5 c hz wz"]]
+    views: Sequence[Float[Tensor, "5 c _ _"]]
     side: int
     tolerance: float
     apart: int

@@ -12,7 +12,7 @@ from torchtex.layers.plans import Operation
 from torchtex.layers.segment import Segmentation
 from torchtex.layers.stitch import Part
 
-_TORN = 1 / 40  # of the exemplar: smaller pieces at its border are left out
+_TORN = 1 / 16  # of the exemplar: smaller pieces at its border are not moved
 
 
 @dataclass(frozen=True)
@@ -24,6 +24,7 @@ class Piece:
         mask: its pixels in the exemplar.
         box: the rows and columns that hold them.
         shift: rows and columns from the exemplar to the canvas.
+        still: it is small, and the border of the exemplar cuts it off: it stays where it is.
     """
 
     exemplar: int
@@ -31,6 +32,7 @@ class Piece:
     mask: Tensor
     box: tuple[slice, slice]
     shift: tuple[int, int]
+    still: bool = False
 
     @property
     def area(self) -> int:
@@ -59,28 +61,36 @@ def pieces_of(
         [48, 16]
     """
     pieces = []
-    for number, top, left in _copies(zs, size, generator):
+    copies = _copies(zs, size, generator)
+    for number, top, left in copies:
         made = segmentations[number]
-        for mask in _masks(made, children):
+        for mask, torn in _masks(made, children, len(copies) > 1):
             rows, cols = (mask.any(axis).nonzero().flatten() for axis in (1, 0))
             box = (slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1))
             low = (box[0].start + top, box[1].start + left)
             high = (box[0].stop + top, box[1].stop + left)
             if low[0] < size[0] and low[1] < size[1] and min(high) > 0:
                 layer = int(made.labels[mask][0])
-                pieces.append(Piece(number, layer, mask, box, (top, left)))
+                pieces.append(Piece(number, layer, mask, box, (top, left), torn))
     return pieces
 
 
-def _masks(made: Segmentation, children: bool) -> list[Tensor]:
-    """Those of the pieces, less those that are torn."""
+def _masks(made: Segmentation, children: bool, several: bool) -> list[tuple[Tensor, bool]]:
+    """Those of the pieces, and whether they are torn.
+
+    Inside a canvas of several copies torn ones are left out, if their layer has others.
+    """
     labels = made.children if children else made.labels
-    found: list[Tensor] = []
+    found: list[tuple[Tensor, bool]] = []
     for layer in range(made.count):
         mine = made.labels == layer
         masks = [labels == int(label) for label in labels[mine].unique()]
-        whole = [m for m in masks if not _torn(m)]
-        found += whole or masks
+        torn = [_torn(mask) for mask in masks]
+        if several:
+            whole = [(mask, False) for mask, bad in zip(masks, torn, strict=True) if not bad]
+            found += whole or [(mask, False) for mask in masks]
+        else:
+            found += zip(masks, torn, strict=True)
     return found
 
 
@@ -122,7 +132,7 @@ def part_of(
     middle = ((rows.start + rows.stop - 1) / 2, (cols.start + cols.stop - 1) / 2)
     place = (middle[0] + piece.shift[0], middle[1] + piece.shift[1])
     side = min(z.shape[1:])
-    steps = [deformation(one, side, place, size) for one in operations]
+    steps = [deformation(one, side, place, size) for one in operations if not piece.still]
     reach = math.hypot(rows.stop - rows.start, cols.stop - cols.start) / 2
     reach = 1 + math.ceil(reach * math.prod(s.scale for s in steps))
     moved = [sum(s.translate[axis] for s in steps) for axis in (0, 1)]

@@ -79,7 +79,8 @@ def layered(
         chaos: how operations are drawn; `Chaos()` unless given.
         plan: operations, one list for every piece; instead of drawn ones. A piece is a child
             layer, or a layer without `children`, in the order of their numbers. Small ones that
-            the border of the exemplar cuts off are left out, if others of their layer are there.
+            the border of the exemplar cuts off stay where they are, or in a larger texture are
+            left out.
         children: deform the children of a layer each on its own, rather than the layer.
         band: of `stitch`.
         filling: how holes are completed.
