@@ -6,7 +6,7 @@ Nothing heavy is imported at the top of these modules, so that `torchtex --help`
 # each module adds its commands to `app`, in the order that --help lists them
 from torchtex.cli import synth, apply, repeat, measure, cutting, patches, tiles  # isort: skip  # noqa: F401
 from torchtex.cli import edits, guided, moving, analogies  # isort: skip  # noqa: F401
-from torchtex.cli import marbling, rendering  # isort: skip  # noqa: F401
+from torchtex.cli import marbling, rendering, solids  # isort: skip  # noqa: F401
 from torchtex.cli.base import app, main
 
 __all__ = ["app", "main"]

@@ -1,0 +1,111 @@
+"""The command solid: what it writes, going on after an interrupt, sentences for bad input."""
+
+import json
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from conftest import Run, refused, stripes
+
+from torchtex import image as images
+from torchtex.recipes import solid as recipe
+from torchtex.recipes.solid_result import SolidStep
+from torchtex.volumes.files import load_volume
+
+LINE = ("solid", "z.png", "--size", "16x17x18", "--steps", "1", "--quiet")
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with exemplars, which is the current one."""
+    monkeypatch.chdir(tmp_path)
+    images.save("z.png", stripes(32, 32).float())
+    images.save("grey.png", stripes(32, 32, 1).float())
+    images.save("small.png", torch.ones(3, 12, 12))
+    images.save("map.png", stripes(32, 32, 1, seed=3).float())
+    images.save("glass.png", torch.cat([stripes(32, 32), torch.zeros(1, 32, 32)]).float())
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", ["v.npy", "v.nrrd", "v.vti", "slices"])
+def test_volumes_are_written(run: Run, here: Path, name: str) -> None:
+    done = run(*LINE, "-o", name, "--slices", "cut.png", "--report", "r.json")
+    assert done.code == 0, done
+    assert done.out.strip() == name
+    volume = load_volume(name)
+    assert volume.shape == (3, 16, 17, 18)
+    about = json.loads(Path("r.json").read_text())
+    assert about["command"] == "solid"
+    assert about["settings"]["method"] == "kopf"
+    assert set(about["files"]) == {"z.png"}
+    assert "torchtex" in images.read_metadata("cut.png")
+    again = run(*LINE, "-o", "again.npy", "--threads", 2)
+    assert again.code == 0
+    assert torch.equal(load_volume("again.npy"), volume)
+
+
+def test_skeletal_axes_and_maps(run: Run, here: Path) -> None:
+    line = ("solid", "z.png", "none", "grey.png", "--size", "16x16x16", "-o", "v.npy", "--quiet")
+    assert run(*line, "--method", "skeletal", "--bits", 16).code == 0
+    assert load_volume("v.npy").shape == (3, 16, 16, 16)
+    mapped = run(*LINE, "-o", "m.npy", "--map", "map.png", "--map-weight", 2)
+    assert mapped.code == 0, mapped
+    assert run(*LINE, "-o", "plain.npy").code == 0
+    assert not torch.equal(load_volume("m.npy"), load_volume("plain.npy"))
+
+
+def test_an_interrupted_run_keeps_what_it_has_and_goes_on(
+    run: Run, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    line = ("solid", "z.png", "--size", "32x32x32", "--steps", "1", "--quiet")
+    assert run(*line, "-o", "whole.npy").code == 0
+    usual = recipe.SolidStep
+
+    def step(done: float, note: str, *rest: Any) -> SolidStep:
+        if note.startswith("level 2"):
+            signal.raise_signal(signal.SIGINT)
+        return usual(done, note, *rest)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(recipe, "SolidStep", step)
+        done = run(*line, "-o", "part.npy", "--checkpoint", "state.npz", "--keep-partial")
+    assert done.code == 130
+    assert load_volume("part.npy").shape == (3, 32, 32, 32)
+    assert Path("state.npz").exists()
+    assert run(*line, "-o", "rest.npy", "--checkpoint", "state.npz").code == 0
+    assert torch.equal(load_volume("rest.npy"), load_volume("whole.npy"))
+    assert not Path("state.npz").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "options"),
+    [
+        ("size='16x16'", ("z.png", "--size", "16x16", "-o", "v.npy")),
+        ("size=4x16x16", ("z.png", "--size", "4x16x16", "-o", "v.npy")),
+        ("GiB", ("z.png", "--size", "9999x9999x9999", "-o", "v.npy")),
+        ("must end in", ("z.png", "--size", "16x16x16", "-o", "v.obj")),
+        ("bits=12", ("z.png", "--size", "16x16x16", "-o", "v.npy", "--bits", "12")),
+        ("method='fast'", ("z.png", "--size", "16x16x16", "-o", "v.npy", "--method", "fast")),
+        ("no such file", ("no.png", "--size", "16x16x16", "-o", "v.npy")),
+        ("4 given", (*["z.png"] * 4, "--size", "16x16x16", "-o", "v.npy")),
+        ("none given", ("none", "--size", "16x16x16", "-o", "v.npy")),
+        ("too little choice", ("small.png", "--size", "16x16x16", "-o", "v.npy")),
+        ("transparent", ("glass.png", "--size", "16x16x16", "-o", "v.npy")),
+        ("map: 2 given", ("z.png", "--size", "16x16x16", "-o", "v.npy", *["--map=map.png"] * 2)),
+        ("size of the", ("z.png", "--size", "16x16x16", "-o", "v.npy", "--map", "small.png")),
+        ("steps=2", ("z.png", "--size=16x16x16", "-o=v.npy", "--method=skeletal", "--steps=2")),
+        ("octaves=5", ("z.png", "--size=16x16x16", "-o=v.npy", "--method=skeletal", "--octaves=5")),
+        ("r=3", ("z.png", "--size", "16x16x16", "-o", "v.npy", "--r", "3")),
+        ("seed=-1", ("z.png", "--size", "16x16x16", "-o", "v.npy", "--seed", "-1")),
+        ("overwrite", ("z.png", "--size", "16x16x16", "-o", "v.npy", "--slices", "z.png")),
+        ("not a checkpoint", ("z.png", "--size=16x16x16", "-o=v.npy", "--checkpoint=bad.npz")),
+    ],
+)
+@pytest.mark.usefixtures("unchecked")
+def test_bad_input_gets_one_sentence(
+    run: Run, here: Path, words: str, options: tuple[str, ...]
+) -> None:
+    Path("bad.npz").write_bytes(b"x")
+    refused(run, here, words, "solid", *options, "--quiet")
