@@ -36,7 +36,8 @@ from tables import table
 
 from torchtex import image as images
 from torchtex import metrics
-from torchtex.recipes.analogy import Analogy, energy, luminance_matched
+from torchtex.recipes.analogy import Analogy
+from torchtex.recipes.analogy_costs import energy
 from torchtex.recipes.cms import cms
 from torchtex.recipes.image_analogies import image_analogies
 from torchtex.recipes.rivals import (
@@ -45,6 +46,7 @@ from torchtex.recipes.rivals import (
     labeling_of,
     random_placement,
 )
+from torchtex.recipes.transfers import luminance_matched
 
 METHODS = ("cms", "analogies", "quilt", "random", "em")
 WANTED = {"analogies": 5, "quilt": 14}  # times as long as cms, in the paper, at least

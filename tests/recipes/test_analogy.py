@@ -8,8 +8,9 @@ from conftest import noise
 from torch import Tensor
 
 from torchtex.image import luminance
-from torchtex.recipes import analogy
-from torchtex.recipes.analogy import Analogy, Labeling, variants
+from torchtex.recipes import analogy_costs, detail, labelings, region_maps, transfers
+from torchtex.recipes.analogy import Analogy
+from torchtex.recipes.labelings import Labeling, variants
 
 
 def problem(channels: int = 3, size: tuple[int, int] = (9, 11)) -> Analogy:
@@ -83,17 +84,17 @@ def test_energies_equal_their_definitions(K: float, N: int, seed: int) -> None:
     made = problem()
     labeling = random_labeling(made, seed)
     wanted = brute(made, labeling, K, N)
-    right, down = analogy.boundary(labeling)
+    right, down = analogy_costs.boundary(labeling)
     found = {
-        "A": analogy.agreement(made, labeling, K=K, N=N),
-        "label": analogy.label_agreement(made, labeling, K=K, N=N),
-        "error": analogy.match_error(made, labeling, K=K, N=N),
+        "A": analogy_costs.agreement(made, labeling, K=K, N=N),
+        "label": analogy_costs.label_agreement(made, labeling, K=K, N=N),
+        "error": analogy_costs.match_error(made, labeling, K=K, N=N),
         "right": right,
         "down": down,
     }
     for name, values in found.items():
         torch.testing.assert_close(values, wanted[name], rtol=1e-9, atol=1e-9, msg=name)
-    sums = analogy.energy(made, labeling, K=K, N=N)
+    sums = analogy_costs.energy(made, labeling, K=K, N=N)
     pairs = wanted["right"].sum() + wanted["down"].sum()
     assert sums.exact == pytest.approx(float(wanted["A"].sum() + pairs))
     assert sums.minimised == pytest.approx(float(wanted["label"].sum() + pairs))
@@ -103,17 +104,21 @@ def test_windows_larger_than_the_output_hold_all_of_it() -> None:
     made = problem(size=(3, 4))
     labeling = random_labeling(made)
     wanted = brute(made, labeling, 1.0, 6)
-    torch.testing.assert_close(analogy.agreement(made, labeling, K=1.0, N=6), wanted["A"])
-    torch.testing.assert_close(analogy.label_agreement(made, labeling, K=1.0, N=6), wanted["label"])
-    torch.testing.assert_close(analogy.match_error(made, labeling, K=1.0, N=6), wanted["error"])
+    torch.testing.assert_close(analogy_costs.agreement(made, labeling, K=1.0, N=6), wanted["A"])
+    torch.testing.assert_close(
+        analogy_costs.label_agreement(made, labeling, K=1.0, N=6), wanted["label"]
+    )
+    torch.testing.assert_close(
+        analogy_costs.match_error(made, labeling, K=1.0, N=6), wanted["error"]
+    )
 
 
 def test_render_and_source_field_agree_with_the_variants() -> None:
     made = problem()
     labeling = random_labeling(made, seed=2)
-    field = analogy.source_field(labeling)
-    texture = analogy.render(labeling, made.sources)
-    assert torch.equal(texture, analogy.views(labeling)[0])
+    field = labelings.source_field(labeling)
+    texture = labelings.render(labeling, made.sources)
+    assert torch.equal(texture, labelings.views(labeling)[0])
     assert torch.equal(texture, field.apply(list(made.sources)))
     number, row, col = field.source_map()[4, 5].tolist()
     assert torch.equal(texture[:, 4, 5], made.sources[number][:, row, col])
@@ -129,15 +134,17 @@ def test_placed_labels_show_the_positions_they_were_made_of() -> None:
         ],
         -1,
     )
-    labeling = analogy.placed(positions, kinds)
-    assert torch.equal(analogy.source_field(labeling).source_map(), positions)
+    labeling = labelings.placed(positions, kinds)
+    assert torch.equal(labelings.source_field(labeling).source_map(), positions)
 
 
 def test_same_constraint_twice_is_one_of_twice_the_weight() -> None:
     s, q, c = noise(3, 9, 9), noise(1, 9, 9, seed=1), noise(1, 9, 9, seed=2)
     twice, heavy = Analogy((s,), ((q, q),), (c, c)), Analogy((s,), ((q,),), (c,), (2.0,))
     labels = torch.zeros(9, 9, 3, dtype=torch.long)
-    sums = [analogy.energy(p, Labeling(labels, variants(p)), K=1.0, N=2) for p in (twice, heavy)]
+    sums = [
+        analogy_costs.energy(p, Labeling(labels, variants(p)), K=1.0, N=2) for p in (twice, heavy)
+    ]
     assert sums[0].exact == pytest.approx(sums[1].exact)
 
 
@@ -186,56 +193,56 @@ def test_bad_problems_are_refused_in_a_sentence(
 def test_bad_weights_and_windows_are_refused(K: float, N: int) -> None:
     made = problem()
     with pytest.raises(ValueError, match=r"must be at least"):
-        analogy.energy(made, random_labeling(made), K=K, N=N)
+        analogy_costs.energy(made, random_labeling(made), K=K, N=N)
 
 
 def test_matched_luminance_has_the_mean_and_deviation_of_the_other() -> None:
     image, like = 0.4 + 0.2 * noise(3, 20, 20), 0.3 + 0.1 * noise(3, 15, 10, seed=1)
-    found, wanted = luminance(analogy.match_luminance(image, like)), luminance(like)
+    found, wanted = luminance(transfers.match_luminance(image, like)), luminance(like)
     assert float(found.mean()) == pytest.approx(float(wanted.mean()), abs=1e-3)
     assert float(found.std()) == pytest.approx(float(wanted.std()), rel=2e-2)
-    flat = analogy.match_luminance(torch.full((1, 4, 4), 0.5), like[:1])
+    flat = transfers.match_luminance(torch.full((1, 4, 4), 0.5), like[:1])
     assert bool(flat.isfinite().all())
 
 
 def test_detail_of_a_picture_for_itself_is_that_picture() -> None:
     sharp = noise(3, 24, 20)
-    low = analogy.shrunk(sharp, (6, 5))
-    made = analogy.detail_problem(sharp, low, 4)
+    low = detail.shrunk(sharp, (6, 5))
+    made = detail.detail_problem(sharp, low, 4)
     torch.testing.assert_close(made.mapped[0][0], made.constraints[0])
-    assert analogy.detail_error(sharp, low, 4) == pytest.approx(0, abs=1e-12)
-    assert analogy.detail_error(sharp.clamp(max=0.9) + 0.1, low + 0.1, 4) < 0.1
-    assert analogy.sharpness_ratio(made.constraints[0], sharp) < 0.5
+    assert detail.detail_error(sharp, low, 4) == pytest.approx(0, abs=1e-12)
+    assert detail.detail_error(sharp.clamp(max=0.9) + 0.1, low + 0.1, 4) < 0.1
+    assert detail.sharpness_ratio(made.constraints[0], sharp) < 0.5
 
 
 def test_back_projection_meets_the_small_picture_and_keeps_detail() -> None:
     sharp, low = 0.2 + 0.5 * noise(3, 24, 20), 0.3 + 0.3 * noise(3, 6, 5, seed=1)
-    found = analogy.back_projected(sharp, low, 4)
-    assert analogy.detail_error(found, low, 4) < 0.02 < analogy.detail_error(sharp, low, 4)
-    assert analogy.sharpness_ratio(found, sharp) > 0.9
+    found = detail.back_projected(sharp, low, 4)
+    assert detail.detail_error(found, low, 4) < 0.02 < detail.detail_error(sharp, low, 4)
+    assert detail.sharpness_ratio(found, sharp) > 0.9
 
 
 def test_bad_details_are_refused() -> None:
     with pytest.raises(ValueError, match="factor=1 must be above 1"):
-        analogy.detail_problem(S, S, 1)
+        detail.detail_problem(S, S, 1)
     with pytest.raises(ValueError, match="sample is 8x9, less than factor=20"):
-        analogy.detail_problem(S, S, 20)
+        detail.detail_problem(S, S, 20)
     with pytest.raises(ValueError, match="output is 8x9; factor=2 makes 16x18 of low"):
-        analogy.detail_error(S, S, 2)
+        detail.detail_error(S, S, 2)
 
 
 def test_transfer_compares_lightness() -> None:
-    made = analogy.transfer_problem(S, noise(3, 6, 7, seed=4), match=True)
+    made = transfers.transfer_problem(S, noise(3, 6, 7, seed=4), match=True)
     assert torch.equal(made.mapped[0][0][0], luminance(S))
     assert float(made.constraints[0].mean()) == pytest.approx(float(luminance(S).mean()), abs=0.02)
-    blurred = analogy.transfer_problem(torch.ones(3, 9, 9), torch.ones(1, 6, 7), blur=1.5)
+    blurred = transfers.transfer_problem(torch.ones(3, 9, 9), torch.ones(1, 6, 7), blur=1.5)
     torch.testing.assert_close(blurred.mapped[0][0], torch.ones(1, 9, 9))
-    bold = analogy.transfer_problem(S, 0.4 + 0.1 * C, contrast=2.0).constraints[0]
+    bold = transfers.transfer_problem(S, 0.4 + 0.1 * C, contrast=2.0).constraints[0]
     assert float(bold.std()) == pytest.approx(0.2 * float(C.std()))
     with pytest.raises(ValueError, match=r"contrast=0.0 must"):
-        analogy.transfer_problem(S, S, contrast=0.0)
+        transfers.transfer_problem(S, S, contrast=0.0)
     with pytest.raises(ValueError, match=r"blur=-1.0 must be at least 0"):
-        analogy.transfer_problem(S, S, blur=-1.0)
+        transfers.transfer_problem(S, S, blur=-1.0)
 
 
 def painted(h: int, w: int) -> Tensor:
@@ -250,7 +257,7 @@ def test_soft_edges_and_uneven_colours_snap_to_the_palette() -> None:
     clean, wanted = painted(30, 24), painted(24, 30)
     soft = torch.nn.functional.avg_pool2d(wanted[None], 3, 1, 1, count_include_pad=False)[0]
     soft = (soft * 0.97 + 0.01 * noise(3, 24, 30)).clamp(0, 1)
-    found = analogy.snapped(clean, soft)
+    found = region_maps.snapped(clean, soft)
     assert torch.equal(found.mapped, clean)
     assert len(found.palette) == 3
     assert found.changed[0] == 0
@@ -262,13 +269,13 @@ def test_colours_that_the_mapped_source_has_not_are_listed() -> None:
     strange = painted(30, 24)
     strange[:, :10, :10] = torch.tensor([1.0, 1.0, 0.0], dtype=torch.float64)[:, None, None]
     with pytest.raises(ValueError, match=r"colours that mapped has not: \(255, 255, 0\)"):
-        analogy.snapped(painted(30, 24), strange)
+        region_maps.snapped(painted(30, 24), strange)
 
 
 def test_bad_maps_are_refused() -> None:
     with pytest.raises(ValueError, match="mapped has 3 channels and constraint 1"):
-        analogy.snapped(S, C)
+        region_maps.snapped(S, C)
     with pytest.raises(ValueError, match="no map of regions"):
-        analogy.snapped(noise(3, 60, 60), noise(3, 60, 60))
+        region_maps.snapped(noise(3, 60, 60), noise(3, 60, 60))
     with pytest.raises(ValueError, match=r"near=0.0 and share=0.002"):
-        analogy.snapped(S, S, near=0.0)
+        region_maps.snapped(S, S, near=0.0)

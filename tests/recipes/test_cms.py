@@ -1,6 +1,7 @@
 """Constrained synthesis: the energy never rises, is what it is said to be, and finds copies."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise, product
 
 import pytest
@@ -8,10 +9,14 @@ import torch
 from conftest import noise, stripes
 from torch import Tensor
 
-from torchtex.cuts.mincut import OrTools, PyMaxflow
+from torchtex.cuts.mincut import OrTools, PyMaxflow, grid_edges
 from torchtex.recipes import cms as module
-from torchtex.recipes.analogy import Analogy, energy, match_error, render, variants
+from torchtex.recipes.analogy import Analogy
+from torchtex.recipes.analogy_costs import energy, label_agreement, match_error
 from torchtex.recipes.cms import cms
+from torchtex.recipes.cms_canvas import Canvas, decided
+from torchtex.recipes.cms_search import Improvement, Prospects
+from torchtex.recipes.labelings import Labeling, render, variants, views
 from torchtex.recipes.montage import Stage
 
 
@@ -42,11 +47,15 @@ PROBLEMS = [painting, several]
 
 @pytest.mark.parametrize("make", PROBLEMS)
 @pytest.mark.parametrize("mirrors", [False, True])
+@pytest.mark.parametrize("screened", [False, True])
 def test_energy_falls_with_every_move_and_equals_a_count_from_scratch(
-    make: Callable[[], Analogy], mirrors: bool
+    make: Callable[[], Analogy], mirrors: bool, screened: bool
 ) -> None:
     problem = make()
-    result = cms(problem, K=0.5, N=2, apart=4, history=3, tolerance=0.5, mirrors=mirrors, seed=3)
+    result = cms(
+        problem, K=0.5, N=2, apart=4, history=3, tolerance=0.5, mirrors=mirrors, seed=3,
+        screened=screened,
+    )  # fmt: skip
     energies = [move.energy for move in result.moves]
     assert all(after < before for before, after in pairwise(energies))
     assert energies[-1] == pytest.approx(result.energies.minimised, rel=1e-9)
@@ -54,37 +63,55 @@ def test_energy_falls_with_every_move_and_equals_a_count_from_scratch(
     assert again == result.energies
 
 
+def canvas_of(problem: Analogy, K: float) -> Canvas:
+    return Canvas(problem, variants(problem), K, 2, PyMaxflow())
+
+
+def runner(canvas: Canvas) -> module._Run:
+    return module._Run(canvas, 3, 5, torch.Generator().manual_seed(0), None)
+
+
 @pytest.mark.parametrize("make", PROBLEMS)
+@pytest.mark.parametrize("way", ["screened", "as_in_the_paper"])
 def test_all_that_is_kept_between_moves_equals_a_count_from_scratch(
-    make: Callable[[], Analogy],
+    make: Callable[[], Analogy], way: str
 ) -> None:
     problem, checked = make(), 0
-    canvas = module.Canvas(problem, variants(problem), 0.8, 2, PyMaxflow())
-    run = module._Run(canvas, 3, 5, torch.Generator().manual_seed(0), None)
+    canvas = canvas_of(problem, 0.8)
+    run = runner(canvas)
 
     def step(_: Stage) -> None:
         nonlocal checked
-        if not bool(canvas.known.all()):
+        if not canvas.full:
             return
-        labeling = module.Labeling(canvas.labels, canvas.variants)
+        labeling = Labeling(canvas.labels, canvas.variants)
         whole = energy(problem, labeling, K=0.8, N=2)
         assert canvas.energy == pytest.approx(whole.minimised, rel=1e-8)
-        fresh = match_error(problem, labeling, K=0.8, N=2)
-        torch.testing.assert_close(canvas.error, fresh, rtol=1e-8, atol=1e-8)
+        close = {"rtol": 1e-8, "atol": 1e-8}
+        canvas.refresh()
+        torch.testing.assert_close(
+            canvas.error, match_error(problem, labeling, K=0.8, N=2), **close
+        )
+        agreement = label_agreement(problem, labeling, K=0.8, N=2)
+        torch.testing.assert_close(canvas.unary, agreement, **close)
+        kept = canvas.shown.permute(1, 2, 0).view(5, -1, *canvas.size)
+        assert torch.equal(kept, views(labeling))
+        around = canvas.right + canvas.right.roll(1, 1) + canvas.down + canvas.down.roll(1, 0)
+        torch.testing.assert_close(canvas.stake, agreement + around, **close)
         checked += 1
 
     run.on_step = step
-    run.go(0.5, 4, 60)
+    getattr(run, way)(0.5, 4, 60)
     assert checked >= 4
 
 
 def test_search_equals_the_improvement_by_its_definition() -> None:
     problem, K, N = several(), 0.8, 2
-    canvas = module.Canvas(problem, variants(problem), K, N, PyMaxflow())
-    run = module._Run(canvas, 3, 5, torch.Generator().manual_seed(0), None)
-    run.go(1e9, 1, 0)
+    canvas = canvas_of(problem, K)
+    runner(canvas).as_in_the_paper(1e9, 1, 0)
+    search = Improvement.of(canvas.variants, K, N)
     for place in ((0, 0), (7, 6), (13, 2)):
-        costs = canvas.costs(*place)
+        costs = search(place, canvas.guide, canvas.image, canvas.known)
         for number, i, j in ((0, 3, 4), (1, 0, 0), (6, 15, 10)):
             label = number, place[0] - i, place[1] - j
             kind, total = canvas.variants[number], 0.0
@@ -97,30 +124,75 @@ def test_search_equals_the_improvement_by_its_definition() -> None:
                 total += K * float(
                     (kind.mapped[:, r, c] - canvas.guide[:, p[0], p[1]]).square().sum()
                 )
-                total += float(
-                    (kind.image[:, r, c] - canvas.views[0][:, p[0], p[1]]).square().sum()
-                )
+                total += float((kind.image[:, r, c] - canvas.image[:, p[0], p[1]]).square().sum())
             assert float(costs[number][i, j]) == pytest.approx(total, rel=1e-8)
 
 
+def test_prospects_put_the_label_first_that_gains_most() -> None:
+    problem = painting()
+    canvas = canvas_of(problem, 0.8)
+    runner(canvas).screened(1e9, 1, 0)
+    generator = torch.Generator().manual_seed(1)
+    prospects = Prospects(canvas.variants, canvas.guide, 0.8, 2, generator)
+    for place in prospects.places(canvas.unary, 10):
+        prospects.search(place, 5, canvas.unary)
+    promised = [label for _, _, label in sorted(prospects.waiting)]
+    _, label = prospects.best(canvas.unary)
+    assert label in promised[:10]
+    assert len(prospects.waiting) == 49
+
+
+def test_a_move_is_the_best_one_of_the_pixels_that_are_offered() -> None:
+    problem = several()
+    for seed in range(6):
+        canvas = canvas_of(problem, 0.3)
+        module._Run(canvas, 3, 5, torch.Generator().manual_seed(seed), None).screened(1e9, 1, 3)
+        before, labels = canvas.energy, canvas.labels.clone()
+        label = (seed, 1 - seed, seed - 3)
+        changed = canvas.expand(label)
+        best = before
+        mine = torch.zeros(canvas.labels.shape[:2], dtype=torch.bool)
+        mine.view(-1)[changed] = True
+        for flat in range(mine.numel()):  # one pixel more or less is no better
+            trial = mine.clone()
+            trial.view(-1)[flat] ^= True
+            place = divmod(flat, mine.shape[1])
+            shape = canvas.variants[seed].image.shape[1:]
+            inside = all(0 <= p - o < n for p, o, n in zip(place, label[1:], shape, strict=True))
+            if not inside:
+                continue
+            tried = torch.where(trial[..., None], torch.tensor(label), labels)
+            costs = energy(problem, Labeling(tried, canvas.variants), K=0.3, N=2)
+            best = min(best, costs.minimised)
+        assert canvas.energy <= best + 1e-9
+
+
 @pytest.mark.parametrize("solver", [PyMaxflow(), OrTools()])
-@pytest.mark.parametrize("sparse", [0.0, 1.0])
-def test_decided_pixels_do_not_change_the_minimum(
-    solver: PyMaxflow | OrTools, sparse: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(module, "SPARSE", sparse)
-    every = torch.tensor(list(product((False, True), repeat=12))).view(-1, 3, 4)
+def test_the_cut_is_the_minimum(solver: PyMaxflow | OrTools) -> None:
+    every = torch.tensor(list(product((False, True), repeat=12)))
+    pairs = grid_edges(3, 4, 3, 2).T
     for seed in range(20):
-        gain = 3 * (noise(3, 4, seed=seed) - 0.5)
-        right, down = noise(3, 3, seed=seed + 50), noise(2, 4, seed=seed + 90)
-        costs = (
-            (gain * every).sum((1, 2))
-            + (right * (~every[..., :-1] & every[..., 1:])).sum((1, 2))
-            + (down * (~every[:, :-1] & every[:, 1:])).sum((1, 2))
-        )
-        found = module._solve(gain, right, down, solver)
-        own = costs[(every == found).all(2).all(1)]
+        gain, caps = 3 * (noise(12, seed=seed) - 0.5), noise(len(pairs[0]), seed=seed + 50)
+        caps = torch.where(caps < 0.2, 0, caps)
+        cut = ~every[:, pairs[0]] & every[:, pairs[1]]
+        costs = (gain * every).sum(1) + (caps * cut).sum(1)
+        found = decided(gain, pairs, caps, solver)
+        own = costs[(every == found).all(1)]
         assert float(own) == pytest.approx(float(costs.min()), abs=1e-9)
+
+
+@pytest.mark.parametrize("screened", [False, True])
+def test_no_masked_pixel_is_copied(screened: bool) -> None:
+    mask = noise(26, 32, seed=8) > 0.4
+    problem = replace(painting(), masks=(mask,))
+    result = cms(
+        problem, K=0.5, N=2, apart=2, history=3, tolerance=0.5, mirrors=True, screened=screened
+    )
+    _, row, col = result.montage.source_map.unbind(-1)
+    assert bool(mask[row, col].all())
+    free = cms(painting(), K=0.5, N=2, apart=2, history=3, tolerance=0.5, screened=screened)
+    _, row, col = free.montage.source_map.unbind(-1)
+    assert not bool(mask[row, col].all())
 
 
 def test_an_exemplar_is_its_own_analogy() -> None:

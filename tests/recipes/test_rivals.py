@@ -7,7 +7,8 @@ import torch
 from conftest import noise, stripes
 from torch import Tensor
 
-from torchtex.recipes.analogy import Analogy, energy
+from torchtex.recipes.analogy import Analogy
+from torchtex.recipes.analogy_costs import energy
 from torchtex.recipes.montage import Stage
 from torchtex.recipes.rivals import (
     constrained_quilting,

@@ -278,7 +278,8 @@ class _Job:
 
     def problem(self, quiet: bool) -> "Analogy":
         """Loads, and makes what is not given."""
-        from torchtex.recipes.analogy import Analogy, luminance_matched, transfer_problem
+        from torchtex.recipes.analogy import Analogy
+        from torchtex.recipes.transfers import luminance_matched, transfer_problem
 
         sources = [_load(str(exemplar_path(name)), "source") for name in self.sources]
         constraints = tuple(_load(name, "constraint") for name in self.constraints)
@@ -298,7 +299,8 @@ class _Job:
         return luminance_matched(problem) if self.match else problem
 
     def _detail(self, sources: "list[torch.Tensor]", low: "torch.Tensor") -> "Analogy":
-        from torchtex.recipes.analogy import Analogy, detail_problem
+        from torchtex.recipes.analogy import Analogy
+        from torchtex.recipes.detail import detail_problem
 
         assert self.detail is not None
         each = [detail_problem(s, low, self.detail) for s in sources]
@@ -309,7 +311,7 @@ class _Job:
 
     def judged(self, done: _Finished, quiet: bool) -> _Finished:
         """With --detail, how well the output agrees with the small picture."""
-        from torchtex.recipes.analogy import back_projected, detail_error
+        from torchtex.recipes.detail import back_projected, detail_error
 
         if self.detail is None:
             return done
@@ -424,7 +426,7 @@ def _load(path: str, name: str) -> "torch.Tensor":
 def _snapped(
     mapped: "torch.Tensor", constraint: "torch.Tensor", quiet: bool
 ) -> "tuple[list[torch.Tensor], tuple[torch.Tensor, ...]]":
-    from torchtex.recipes.analogy import snapped
+    from torchtex.recipes.region_maps import snapped
 
     clean = snapped(mapped, constraint)
     if any(clean.changed) and not quiet:

@@ -27,8 +27,9 @@ from torchtex.image import luminance
 from torchtex.inputs import check_seed
 from torchtex.matching import Clustered, Index, Matcher, principal_axes
 from torchtex.quadratic import threads
-from torchtex.recipes.analogy import Analogy, luminance_matched
+from torchtex.recipes.analogy import Analogy
 from torchtex.recipes.montage import Montage, Stage
+from torchtex.recipes.transfers import luminance_matched
 from torchtex.sources import copied, pixel_places
 
 _SAMPLE = 8192  # surroundings that the axes of the search are computed from

@@ -16,22 +16,18 @@ from torchtex.controls import Guide
 from torchtex.cuts.mincut import MinCut, default_solver
 from torchtex.inputs import check_seed
 from torchtex.quadratic import threads
-from torchtex.recipes.analogy import (
-    Analogy,
-    Labeling,
-    check_window,
-    energy,
-    placed,
-    source_field,
-    variants,
-)
-from torchtex.recipes.cms import Canvas, CmsMove, CmsResult, patch_numbers
+from torchtex.recipes.analogy import Analogy
+from torchtex.recipes.analogy_costs import check_window, energy
+from torchtex.recipes.cms import CmsMove, CmsResult, patch_numbers
+from torchtex.recipes.cms_canvas import Canvas
 from torchtex.recipes.correspondence import Correspondence
+from torchtex.recipes.labelings import Labeling, placed, source_field, variants
 from torchtex.recipes.montage import Montage, Stage
 from torchtex.recipes.quilting import transfer
 from torchtex.result import Progress, Result
 from torchtex.synthesize import synthesize
 
+_GLANCE = 10  # moves between looks at the clock, and reports
 _SHRINK = 1.5  # a block of `transfer` over that of its next pass
 
 
@@ -132,21 +128,23 @@ def random_placement(
     tried = improving = 0
     with threads(1):
         canvas = Canvas(problem, variants(problem, turns=turns, mirrors=mirrors), K, N, solver)
-        full = False
-        while not full or _goes_on(improving, moves, time.process_time() - begun, seconds):
+        full, passed = False, 0.0
+        while not full or _goes_on(improving, moves, passed, seconds):
             label = _drawn(canvas.size, [v.image.shape[1:] for v in canvas.variants], generator)
-            changed, _ = canvas.expand(label)
+            changed = len(canvas.expand(label))
             tried += 1
             improving += full
             if changed:
                 place = max(label[1], 0), max(label[2], 0)
                 kept.append(CmsMove(place, label, changed, canvas.energy))
-                full = full or bool(canvas.known.all())
-            if on_step is not None:
-                spent = _spent(improving, moves, time.process_time() - begun, seconds)
+                full = full or canvas.full
+            if tried % _GLANCE == 1:  # to ask for the time may cost as much as a move
+                passed = time.process_time() - begun
+            if on_step is not None and tried % _GLANCE == 1:
+                spent = _spent(improving, moves, passed, seconds)
                 note = "improving" if full else "filling"
                 detail = f"E' {canvas.energy:.6g}, {len(kept)} of {tried} moves"
-                on_step(Stage(min(spent, 1.0), note, canvas.views[0].clone(), detail))
+                on_step(Stage(min(spent, 1.0), note, canvas.image, detail))
         labeling = Labeling(canvas.labels, canvas.variants)
         energies = energy(problem, labeling, K=K, N=N)
     settings = {
