@@ -6,6 +6,7 @@ slices in a fixed order, gradients too, so that no bit depends on the number of 
 
 import difflib
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Literal
@@ -134,6 +135,102 @@ def reconstruct(coefficients: Coefficients) -> Float[Tensor, "c h w"]:
         rough = _double(vertical, low, -2) + _double(diagonal, high, -2)
         image = (_double(smooth, low, -1) + _double(rough, high, -1))[:, :h, :w]
     return image
+
+
+def every_shift(image: Float[Tensor, "c h w"], wavelet: str, levels: int) -> Coefficients:
+    """The coefficients of `decompose` for all 4^levels shifts of an image at once.
+
+    Every band is as large as the image. What `decompose` gives for a block of 2^levels pixels a
+    side whose first pixel is (row, column) stands there: the approximation and the coarsest
+    details at (row, column) itself, finer ones at steps of 2, 4, ... pixels from it; `blocks_at`
+    reads them. Beyond its border the image is mirrored, so no filter meets the far side.
+
+    Raises:
+        ValueError: an unknown or unsuitable `wavelet`, or `levels` not in 1..8.
+
+    Source: Holschneider et al. 1989; it is what Beylkin 1992 calls all circulant shifts.
+
+    Example:
+        >>> image = torch.rand(1, 8, 8)
+        >>> bands = every_shift(image, "haar", 1)
+        >>> whole = decompose(image, "haar", 1)
+        >>> torch.allclose(bands.approximation[:, ::2, ::2], whole.approximation)
+        True
+    """
+    low, high = filters(wavelet)
+    if not 1 <= levels <= 8:
+        raise ValueError(f"levels={levels} must lie in 1..8: at level 8 a block has 256 pixels")
+    h, w = image.shape[1:]
+    before, after = reach(wavelet, levels)
+    rest = _extend(_extend(image, before, after, -2, "reflect"), before, after, -1, "reflect")
+    details = []
+    for level in range(levels):
+        step = 2**level
+        before -= (len(low) // 2 - 1) * step  # where the image begins in what is filtered
+        smooth, rough = _filter(rest, low, step, -1), _filter(rest, high, step, -1)
+        rest = _filter(smooth, low, step, -2)
+        bands = (_filter(smooth, high, step, -2), _filter(rough, low, step, -2),
+                 _filter(rough, high, step, -2))  # fmt: skip
+        first, second, third = (b[:, before : before + h, before : before + w] for b in bands)
+        details.append((first, second, third))
+    return Coefficients(
+        rest[:, before : before + h, before : before + w], tuple(details[::-1]), (h, w), wavelet
+    )
+
+
+def reach(wavelet: str, levels: int) -> tuple[int, int]:
+    """Pixels that the coefficients of a block see before its first pixel, and after that one.
+
+    Example:
+        >>> reach("haar", 2), reach("db2", 1)
+        ((0, 3), (1, 2))
+    """
+    half = len(filters(wavelet)[0]) // 2
+    return (half - 1) * (2**levels - 1), half * (2**levels - 1)
+
+
+def blocks_at(bands: Sequence[Coefficients], places: Int[Tensor, "h w 3"]) -> Coefficients:
+    """Coefficients of an image put together from blocks of others, for `reconstruct`.
+
+    Args:
+        bands: of each exemplar, from `every_shift`, with the same wavelet and levels.
+        places: exemplar, row and column of the first pixel of each block.
+
+    Source: Pan et al. 2009, section 3.
+
+    Example:
+        >>> image = torch.rand(3, 12, 12)
+        >>> places = torch.tensor([[[0, 1, 2], [0, 1, 4]]])
+        >>> made = reconstruct(blocks_at([every_shift(image, "haar", 1)], places))
+        >>> torch.allclose(made, image[:, 1:3, 2:6], atol=1e-6)
+        True
+    """
+    which, rows, cols = places.unbind(-1)
+    sizes = torch.tensor([one.size for one in bands], device=places.device)
+    areas = sizes.prod(1)
+    width = sizes[which, 1]
+    first = (areas.cumsum(0) - areas)[which] + rows * width + cols
+    levels = len(bands[0].details)
+
+    def read(kind: list[Tensor], level: int) -> Tensor:
+        """Values of a band of that level; each block has 4^(levels - level) of them."""
+        flat = torch.cat([band.flatten(1) for band in kind], 1)
+        inside = torch.arange(2 ** (levels - level), device=places.device) * 2**level
+        down = inside[:, None, None] * width[:, None, :, None]
+        at = first[:, None, :, None] + down + inside
+        h, per, w, _ = at.shape
+        return flat[:, at.reshape(h * per, w * per)]
+
+    details = []
+    for level in range(levels, 0, -1):
+        groups = [one.details[levels - level] for one in bands]
+        horizontal, vertical, diagonal = (
+            read([group[kind] for group in groups], level) for kind in range(3)
+        )
+        details.append((horizontal, vertical, diagonal))
+    approximation = read([one.approximation for one in bands], levels)
+    h, w = places.shape[:2]
+    return Coefficients(approximation, tuple(details), (h << levels, w << levels), bands[0].wavelet)
 
 
 def _even(x: Tensor, dim: int) -> Tensor:

@@ -7,6 +7,7 @@ Nothing heavy is imported at the top of these modules, so that `torchtex --help`
 from torchtex.cli import synth, apply, repeat, measure, cutting, patches, tiles  # isort: skip  # noqa: F401
 from torchtex.cli import edits, guided, moving, analogies  # isort: skip  # noqa: F401
 from torchtex.cli import marbling, rendering, solids  # isort: skip  # noqa: F401
+from torchtex.cli import skeletal  # isort: skip  # noqa: F401
 from torchtex.cli.base import app, main
 
 __all__ = ["app", "main"]
