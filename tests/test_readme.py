@@ -47,7 +47,9 @@ def test_readme_runs(
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("document", ["README.md", "docs/architecture.md", "docs/metrics.md"])
+@pytest.mark.parametrize(
+    "document", ["README.md", "docs/architecture.md", "docs/measured.md", "docs/metrics.md"]
+)
 def test_links_to_files_of_the_project_lead_somewhere(document: str) -> None:
     path = ROOT / document
     links = re.findall(r"\]\(([^)#\s]+)", path.read_text(encoding="utf-8"))
