@@ -8,7 +8,7 @@ from torchtex.cli import synth, apply, repeat, measure, cutting, patches, tiles 
 from torchtex.cli import edits, guided, moving, analogies  # isort: skip  # noqa: F401
 from torchtex.cli import elements, marbling, rendering, solids  # isort: skip  # noqa: F401
 from torchtex.cli import layers, designing  # isort: skip  # noqa: F401
-from torchtex.cli import skeletal  # isort: skip  # noqa: F401
+from torchtex.cli import skeletal, carving  # isort: skip  # noqa: F401
 from torchtex.cli.base import app, main
 
 __all__ = ["app", "main"]

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 ASIDE = {
     "output", "labels", "report", "threads", "keep_partial", "quiet", "seams", "patch_map",
-    "preview", "curve",
+    "preview", "curve", "pictures", "workers", "cache",
 }  # fmt: skip
 """Options that change no pixel: they are not kept, and `repeat` does not take them from a file."""
 

@@ -125,8 +125,6 @@ class Operation:
     amount: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise ValueError(f"kind={self.kind!r} is no operation; choose {', '.join(KINDS)}")
         known = DIRECTIONS[self.kind]
         if self.direction not in known:
             choice = ", ".join(known) if known != ("",) else "none"
@@ -236,6 +234,10 @@ def _operation(item: Any, where: str) -> Operation:
     for name, value in item.items():
         if not isinstance(value, known[name]) or isinstance(value, bool):  # type: ignore[arg-type]
             raise ValueError(f"plan: {where} has {name}={value!r}, which is of another kind")
+    if item["kind"] not in KINDS:
+        raise ValueError(
+            f"plan: {where}: kind={item['kind']!r} is no operation; choose {', '.join(KINDS)}"
+        )
     try:
         return Operation(item["kind"], item.get("direction", ""), float(item.get("amount", 0.0)))
     except ValueError as error:

@@ -97,7 +97,7 @@ def deformed(
         order = [number]
     else:
         order = list(range(len(pairs)))
-    bases = [_itself(zs, n) for n in order]
+    bases = [itself(zs, n) for n in order]
     made = [segmentations[n] for n in order]
     if spread is not None:
         bases, made = [], []
@@ -144,7 +144,7 @@ def whole_deformed(
             order=filling.order, search=filling.search, rim=filling.rim, poisson=False,
             positions=positions, seed=seed,
         )  # fmt: skip
-    return onto(done, [_itself(zs, number)], zs, None)
+    return onto(done, [itself(zs, number)], zs, None)
 
 
 def enlarged(
@@ -167,7 +167,7 @@ def enlarged(
     images = [part.texture for part in parts]
     if enlarge == "graphcut":
         made = graphcut(images, size, poisson=poisson, seed=seed, on_step=on_step)
-        return onto(made, parts, zs, made.texture if poisson else None)
+        return onto(made, parts, zs, made.texture)
 
     def tell(progress: Progress) -> None:
         if on_step is not None:
@@ -224,8 +224,14 @@ def _through(inner: Float[Tensor, "h w 3"], places: Tensor) -> Float[Tensor, "n 
     return torch.where((apart < _NEAR)[:, None] & ((places != nearest).any(1, True)), mixed, exact)
 
 
-def _itself(zs: Sequence[Tensor], number: int) -> Montage:
-    """An exemplar as a montage of itself."""
+def itself(zs: Sequence[Tensor], number: int) -> Montage:
+    """An exemplar as a montage of itself.
+
+    Example:
+        >>> z = torch.rand(1, 4, 4)
+        >>> torch.equal(itself([z], 0).apply(z), z)
+        True
+    """
     z = zs[number]
     places = torch.nn.functional.pad(pixel_places(z.shape[1:], z.device), (1, 0), value=number)
     return Montage(z, copied(places, _shapes(zs)), torch.zeros_like(places[..., 0]), 0.0, 0, {})

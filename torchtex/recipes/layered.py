@@ -94,8 +94,8 @@ def layered(
         A montage of positions in the exemplars; `settings["plan"]` holds the operations.
 
     Raises:
-        ValueError: a layer that is nowhere seen after deformation, a plan for another number of
-            pieces, or segmentations that do not fit.
+        ValueError: a layer of the one exemplar that is nowhere seen after deformation, a plan for
+            another number of pieces, or segmentations that do not fit.
 
     Example:
         >>> from torchtex.layers.segment import segment
@@ -122,7 +122,7 @@ def layered(
             if used is None:
                 used = (chaos or Chaos()).plan(len(pieces), part_seed(seed, attempt))
             made = _stitched(zs, pieces, used, order, size, band, solver)
-            gone = _vanished(pieces, order, made.owner)
+            gone = None if len(zs) > 1 else _vanished(pieces, order, made.owner)
             if gone is None:
                 break
         if gone is not None:

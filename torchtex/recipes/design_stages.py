@@ -1,0 +1,293 @@
+"""Runs of recipe files: every stage is kept by a digest of its settings and of what it is given.
+
+So a stage is made again only if it was changed, or one before it.
+"""
+
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchtex.image import atomic_write, check_image, load, load_mask
+from torchtex.layers.deform import Spread
+from torchtex.layers.plans import Chaos
+from torchtex.recipes.cyclic import cyclic
+from torchtex.recipes.design_file import Book, StageEntry
+from torchtex.recipes.design_parts import (
+    Layering,
+    deformed,
+    enlarged,
+    itself,
+    layers_of,
+    onto,
+    whole_deformed,
+)
+from torchtex.recipes.layered import Filling, part_seed
+from torchtex.recipes.local_edit import edit
+from torchtex.recipes.montage import Montage, Stage
+from torchtex.recipes.strokes import Stroke, brush
+from torchtex.sources import UNREADABLE, copied
+
+Tell = Callable[[Stage], None] | None
+_FORMAT = 1  # of the files in the cache; another one is made anew
+
+
+@dataclass(frozen=True)
+class Made:
+    """What a recipe file made.
+
+    Args:
+        designs: the textures of its last stages, `enlarge` and `layers`.
+        run: for each stage, whether it was run (or taken from the cache).
+    """
+
+    designs: list[Montage]
+    run: list[tuple[str, bool]]
+
+
+def run_book(
+    book: Book, exemplars: Sequence[Tensor], *, cache: Path | None = None, on_step: Tell = None
+) -> Made:
+    """All stages of a recipe file, those that a cache holds taken from it.
+
+    Args:
+        exemplars: what the file names, loaded; all with equal channels.
+        cache: a folder; it is made if it is not there. None keeps nothing.
+        on_step: called after each step; raise from it to cancel.
+
+    Raises:
+        ValueError: what is wrong, with the line of the stage.
+
+    Example:
+        >>> from torchtex.recipes.design_file import Book, StageEntry
+        >>> z = torch.rand(1, 40, 40, generator=torch.Generator().manual_seed(0))
+        >>> stage = StageEntry("enlarge", {"size": (48, 48), "by": "graphcut"}, 1)
+        >>> made = run_book(Book(Path("a.yaml"), (Path("z.png"),), 0, (stage,)), [z])
+        >>> len(made.designs), made.run
+        (1, [('enlarge', True)])
+    """
+    zs = list(exemplars)
+    for z in zs:
+        check_image(z, "exemplar")
+    if cache is not None:
+        cache.mkdir(parents=True, exist_ok=True)
+    parts = [itself(zs, number) for number in range(len(zs))]
+    found: list[Montage] = []
+    run: list[tuple[str, bool]] = []
+    for number, entry in enumerate(book.stages):
+        seed = part_seed(book.seed, 1000 * number)
+        file = None if cache is None else cache / _name(entry, seed, zs, parts)
+        made = None if file is None else _kept(file, zs, seed)
+        run.append((entry.name, made is None))
+        if made is None:
+            made = _run(entry, zs, parts, seed, book, _share(on_step, number, len(book.stages)))
+            if file is not None:
+                _keep(file, made)
+        if entry.name in ("deform", "edit"):
+            parts = made
+        else:
+            found += made
+    settings = {"recipe": "design file", "stages": [e.name for e in book.stages]}
+    return Made([replace(one, settings=settings, seed=book.seed) for one in found], run)
+
+
+def _run(
+    entry: StageEntry, zs: list[Tensor], parts: list[Montage], seed: int, book: Book, tell: Tell
+) -> list[Montage]:
+    stage = {"deform": _deform, "edit": _edit, "enlarge": _enlarge, "layers": _layers}[entry.name]
+    try:
+        return stage(entry.settings, zs, parts, seed, tell)
+    except ValueError as error:
+        raise ValueError(
+            f"recipe={str(book.path)!r}, line {entry.line}, stage {entry.name}: {error}"
+        ) from None
+
+
+def _deform(
+    settings: Any, zs: list[Tensor], parts: list[Montage], seed: int, tell: Tell
+) -> list[Montage]:
+    """Stage 1: the exemplars, and as many deformations of each."""
+    spans = {name: settings[name] for name in settings if name != "count"}
+    spread, count = Spread(**spans), _at_least("count", settings.get("count", 2), 0)
+    generator = torch.Generator().manual_seed(seed)
+    made = list(parts)
+    for number in range(len(zs)):
+        for _ in range(count):
+            drawn = spread.draw(generator)
+            made.append(whole_deformed(zs, number, drawn, Filling(), seed))
+            _tell(tell, made[-1], "deform", (len(made) - len(parts)) / (count * len(zs)))
+    return made
+
+
+def _edit(
+    settings: Any, zs: list[Tensor], parts: list[Montage], seed: int, tell: Tell
+) -> list[Montage]:
+    """Stage 2: an element of one texture put into another one."""
+    base, reference = settings.get("base", 0), settings.get("reference", 0)
+    for name, number in (("base", base), ("reference", reference)):
+        if not 0 <= number < len(parts):
+            raise ValueError(
+                f"{name}={number} must lie in 0..{len(parts) - 1}, the textures so far"
+            )
+    source = parts[reference].texture
+    size = (source.shape[1], source.shape[2])
+    if "mask" in settings:
+        mask = load_mask(settings["mask"], size, name="mask")
+    else:
+        mask = brush(size, settings["path"], settings.get("radius", 6.0))
+    stroke = Stroke(
+        mask, settings.get("offset", (0, 0)), settings.get("rotation", 0.0),
+        settings.get("scale", 1.0), settings.get("mirror", False),
+    )  # fmt: skip
+    done = edit(parts[base].texture, [stroke], reference=source, on_step=tell)
+    made = list(parts)
+    made[base] = onto(done, [parts[base], parts[reference]], zs, done.texture)
+    return made
+
+
+def _enlarge(
+    settings: Any, zs: list[Tensor], parts: list[Montage], seed: int, tell: Tell
+) -> list[Montage]:
+    """Stage 3: large textures from the set."""
+    count, extra = _at_least("count", settings.get("count", 1), 1), settings.get("cyclic", 0)
+    height, width = _size(settings)
+    made = []
+    for number in range(count):
+        whole = enlarged(
+            zs, parts, (height + extra, width + extra), settings.get("by", "wavelet"),
+            settings.get("poisson", False), part_seed(seed, number), _share(tell, number, count),
+        )  # fmt: skip
+        made.append(_closed(whole, zs, extra, settings))
+    return made
+
+
+def _layers(
+    settings: Any, zs: list[Tensor], parts: list[Montage], seed: int, tell: Tell
+) -> list[Montage]:
+    """Stage 4: large textures of deformed layers of the set."""
+    count, extra = _at_least("count", settings.get("count", 1), 1), settings.get("cyclic", 0)
+    height, width = _size(settings)
+    layering = Layering(
+        settings.get("layers", 3),
+        settings.get("method", "graph"),
+        Chaos(
+            settings.get("map", "logistic"), settings.get("combined", 2),
+            settings.get("iterations", 1),
+        ),
+        filling=Filling(
+            settings.get("patch", 32), settings.get("order", "scan"),
+            settings.get("search", "qtp"),
+        ),
+    )  # fmt: skip
+    textures = [part.texture for part in parts]
+    found = layers_of(textures, layering)
+    made = []
+    for number in range(count):
+        done = deformed(
+            textures, found, (height + extra, width + extra), layering, None,
+            settings.get("poisson", False), part_seed(seed, number), _share(tell, number, count),
+        )  # fmt: skip
+        whole = onto(done, parts, zs, done.texture)
+        made.append(_closed(whole, zs, extra, settings))
+    return made
+
+
+def _closed(whole: Montage, zs: list[Tensor], extra: int, settings: Any) -> Montage:
+    """The texture made to tile, if it is to."""
+    if not extra:
+        return whole
+    done = cyclic(whole.texture, overlap=(extra, extra), poisson=settings.get("poisson", False))
+    return onto(done, [whole], zs, done.texture)
+
+
+def _size(settings: Any) -> tuple[int, int]:
+    height, width = settings.get("size", (256, 256))
+    return height, width
+
+
+def _at_least(name: str, value: int, least: int) -> int:
+    if not least <= value <= 10000:
+        raise ValueError(f"{name}={value} must lie in {least}..10000")
+    return value
+
+
+def _tell(tell: Tell, made: Montage, note: str, done: float) -> None:
+    if tell is not None:
+        tell(Stage(done, note, made.texture))
+
+
+def _share(tell: Tell, number: int, count: int) -> Tell:
+    """Progress of one part of several."""
+    if tell is None:
+        return None
+    told = tell
+
+    def part(stage: Stage) -> None:
+        done = min(1.0, (number + stage.done) / count)
+        told(Stage(done, stage.note, stage.texture, stage.detail))
+
+    return part
+
+
+def _name(entry: StageEntry, seed: int, zs: list[Tensor], parts: list[Montage]) -> str:
+    """The file that keeps a stage: its name, and a digest of all that decides it."""
+    settings = dict(entry.settings)
+    if "mask" in settings:
+        settings["mask"] = hashlib.sha256(Path(settings["mask"]).read_bytes()).hexdigest()
+    digest = hashlib.sha256(json.dumps([_FORMAT, entry.name, settings, seed]).encode())
+    for image in (*zs, *(tensor for p in parts for tensor in (p.texture, p.field.positions))):
+        digest.update(str((image.dtype, tuple(image.shape))).encode())
+        digest.update(image.cpu().contiguous().numpy().tobytes())
+    return f"{entry.name}-{digest.hexdigest()[:24]}.npz"
+
+
+def _keep(file: Path, made: list[Montage]) -> None:
+    arrays = {}
+    for number, one in enumerate(made):
+        arrays[f"texture{number}"] = one.texture.cpu().numpy()
+        arrays[f"positions{number}"] = one.field.positions[0].cpu().numpy()
+        arrays[f"patches{number}"] = one.patches.cpu().numpy()
+    with atomic_write(file, name="cache") as temporary, open(temporary, "wb") as out:
+        np.savez_compressed(out, **arrays)  # type: ignore[arg-type]
+
+
+def _kept(file: Path, zs: list[Tensor], seed: int) -> list[Montage] | None:
+    """What a stage made, if it is kept and whole."""
+    if not file.is_file():
+        return None
+    shapes = [(z.shape[1], z.shape[2]) for z in zs]
+    try:
+        with open(file, "rb") as raw, np.load(raw, allow_pickle=False) as kept:
+            return [
+                Montage(
+                    torch.from_numpy(kept[f"texture{n}"]).to(zs[0].device),
+                    copied(torch.from_numpy(kept[f"positions{n}"]).to(zs[0].device), shapes),
+                    torch.from_numpy(kept[f"patches{n}"]).to(zs[0].device),
+                    0.0,
+                    seed,
+                    {},
+                )
+                for n in range(len(kept.files) // 3)
+            ]
+    except UNREADABLE:
+        return None  # torn or of another make: it is made again
+
+
+def load_book(book: Book) -> list[Tensor]:
+    """The exemplars of a recipe file; grey ones beside colour ones become RGB.
+
+    Example:
+        >>> from torchtex import data
+        >>> book = Book(Path("a.yaml"), (data.path("gravel"), data.path("wood")), 0, ())
+        >>> load_book(book)[0].shape
+        torch.Size([3, 128, 128])
+    """
+    images = [load(path, alpha=False, name="exemplar").image for path in book.exemplars]
+    most = max(len(image) for image in images)
+    return [image.expand(most, -1, -1).contiguous() for image in images]
