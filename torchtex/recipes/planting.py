@@ -11,6 +11,9 @@ from torchtex.layers.elements import Elements
 from torchtex.patches import box_sums, summed_area
 from torchtex.recipes.strokes import Stroke, distance
 
+_TRIES = (0, 0, 1, 1, 2, 2)  # anywhere; close to each other; and close to the border too
+_NEAR = 3  # pixels
+
 
 @dataclass(frozen=True)
 class Plant:
@@ -116,18 +119,41 @@ def planted(
         )
     there = int(len(stays.unique()) - bool((stays == 0).any()))
     taken = distance(stays > 0, gap) <= gap if there else torch.zeros_like(stays > 0)
+    most = 0
+    for snug in _TRIES:
+        plants = _try(elements, models, taken, more, wanted, (gap, turn, snug), generator)
+        if len(plants) == wanted:
+            return plants
+        most = max(most, len(plants))
+    raise ValueError(
+        f"amount: {most} of {wanted} new elements fit, {there + most} in all, before the picture "
+        "is full; ask for less, or for a smaller gap"
+    )
+
+
+def _try(
+    elements: Elements,
+    models: list[int],
+    taken: Tensor,
+    more: Tensor,
+    wanted: int,
+    how: tuple[int, bool, int],
+    generator: torch.Generator,
+) -> list[Plant]:
+    """As many of them as fit, one after the other."""
+    gap, turn, snug = how
     plants: list[Plant] = []
-    for _ in range(wanted):
+    taken = taken.clone()
+    while len(plants) < wanted:
         new = None
         for index in torch.randperm(len(models), generator=generator).tolist():
-            new = _placed(elements, models[index], taken, more, turn, generator)
+            pose = int(torch.randint(8, (), generator=generator)) if turn else 0
+            new = Plant(models[index], pose % 4, pose >= 4, (0, 0))
+            new = _placed(new, new.shape(elements), taken, more, snug, generator)
             if new is not None:
                 break
         if new is None:
-            raise ValueError(
-                f"amount: {len(plants)} of {wanted} new elements fit, {there + len(plants)} in "
-                "all, before the picture is full; ask for less, or for a smaller gap"
-            )
+            break
         plants.append(new)
         shape = new.shape(elements)
         own = torch.zeros_like(taken)
@@ -138,29 +164,37 @@ def planted(
 
 
 def _placed(
-    elements: Elements,
-    number: int,
+    plant: Plant,
+    shape: Tensor,
     taken: Tensor,
     weight: Tensor,
-    turn: bool,
+    snug: int,
     generator: torch.Generator,
 ) -> Plant | None:
-    """An element somewhere where there is room and weight, or None."""
-    pose = int(torch.randint(8, (), generator=generator)) if turn else 0
-    shape = Plant(number, pose % 4, pose >= 4, (0, 0)).shape(elements)
-    y, x = shape.shape
-    h, w = taken.shape
+    """The plant somewhere where there is room and weight, beside others if snug; or None."""
+    (y, x), (h, w) = shape.shape, taken.shape
     if y > h or x > w:
         return None
+    means = box_sums(summed_area(weight), y, x).clamp(min=0) / (y * x)
+    free = _overlap(taken, shape) < 0.5
+    chances = torch.where(free & (means > 1e-9), means, 0)
+    if not bool((chances > 0).any()):
+        return None
+    if snug:
+        near = torch.nn.functional.pad(taken, [_NEAR] * 4, value=snug > 1)
+        touch = _overlap(distance(near, _NEAR) <= _NEAR, shape)[_NEAR:, _NEAR:]
+        touch = torch.where(chances > 0, touch[: h - y + 1, : w - x + 1], -1.0)
+        chances = chances * (touch > touch.max() - 1.5)
+    total = chances.flatten().cumsum(0)
+    draw = torch.rand((), generator=generator, dtype=torch.float64) * total[-1]
+    found = min(int(torch.searchsorted(total, draw, right=True)), len(total) - 1)
+    return Plant(plant.number, plant.quarters, plant.mirror, divmod(found, w - x + 1))
+
+
+def _overlap(taken: Tensor, shape: Tensor) -> Tensor:
+    """Pixels of a shape that are taken, for every place of its first pixel."""
+    (y, x), (h, w) = shape.shape, taken.shape
     size = (h + y, w + x)
     spectrum = torch.fft.rfft2(shape.double(), s=size).conj()
     hits = torch.fft.irfft2(torch.fft.rfft2(taken.double(), s=size) * spectrum, s=size)
-    free = hits[: h - y + 1, : w - x + 1] < 0.5
-    means = box_sums(summed_area(weight), y, x).clamp(min=0) / (y * x)
-    chances = torch.where(free & (means > 1e-9), means, 0).flatten()
-    total = chances.cumsum(0)
-    if not float(total[-1]) > 0:
-        return None
-    draw = torch.rand((), generator=generator, dtype=torch.float64) * total[-1]
-    found = min(int(torch.searchsorted(total, draw, right=True)), len(total) - 1)
-    return Plant(number, pose % 4, pose >= 4, divmod(found, w - x + 1))
+    return hits[: h - y + 1, : w - x + 1].round()
