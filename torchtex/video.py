@@ -152,7 +152,8 @@ def _following(stream: Iterator[Tensor], height: int, width: int) -> Iterator[Te
 def _pixels(frame: Tensor) -> Any:
     """8-bit (h, w, 3)."""
     rgb = frame if len(frame) == 3 else frame[:1].expand(3, -1, -1)
-    scaled = (rgb.detach().clamp(0, 1) * 255).round().to(torch.uint8)
+    # in float64, as pictures are written: a film is then the same as its frames from a folder
+    scaled = (rgb.detach().double().clamp(0, 1) * 255).round().to(torch.uint8)
     return np.ascontiguousarray(scaled.permute(1, 2, 0).cpu().numpy())
 
 

@@ -87,9 +87,7 @@ def test_an_interrupted_folder_goes_on(
         done = run(*LINE, "--frames", 5, "-o", "parts")
     assert done.code == 130
     assert len(frame_bytes("parts")) == 3
-    refused(
-        run, here / "parts", "other options", *LINE, "--frames", 5, "--stretch", 2, "-o", "parts"
-    )
+    refused(run, here / "parts", "other options", *LINE, "--frames", 5, "--hold", 2, "-o", "parts")
     assert run(*LINE, "--frames", 5, "-o", "parts", "--report", "r.json").code == 0
     assert frame_bytes("parts") == frame_bytes("whole")
     assert len(json.loads(Path("r.json").read_text())["frames"]) == 2
@@ -149,8 +147,14 @@ def test_frames_that_tile_and_loop(run: Run, here: Path) -> None:
         ("loop=4", "--loop 4"),
         ("loop=-1", "--loop=-1"),
         ("boundary='round'", "--boundary round"),
-        ("stretch=-1", "--stretch=-1"),
-        ("hold=3", "--hold 3"),
+        ("patch=1", "--patch 1"),
+        ("hold=-3", "--hold=-3"),
+        ("follow=nan", "--follow nan"),
+        ("repeat=-1", "--repeat=-1"),
+        ("mend=-1", "--mend=-1"),
+        ("fade=-1", "--fade=-1"),
+        ("steps=0", "--steps 0"),
+        ("solver", "--solver none"),
         ("rate=0", "--rate 0"),
         ("seed=-1", "--seed=-1"),
         ("size='4'", "--size 4"),

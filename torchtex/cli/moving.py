@@ -15,8 +15,19 @@ from torchtex.cli.files import (
     parse_size,
     read_files,
     sha256,
+    solver_of,
 )
-from torchtex.cli.options import Exemplars, KeepPartial, Masks, Quiet, Report, Seed, Size, Threads
+from torchtex.cli.options import (
+    Exemplars,
+    KeepPartial,
+    Masks,
+    Quiet,
+    Report,
+    Seed,
+    Size,
+    Solver,
+    Threads,
+)
 from torchtex.cli.recipe import kept_options
 
 if TYPE_CHECKING:
@@ -47,12 +58,25 @@ def animate(
     ],
     frames: Annotated[int, typer.Option(help="How many frames.")],
     flow_scale: Annotated[float, typer.Option(help="Makes the flow so much faster.")] = 1.0,
-    stretch: Annotated[
-        float, typer.Option(help="How far content is stretched or turned before it is made anew.")
-    ] = 0.25,
+    patch: Annotated[
+        int, typer.Option(help="Side of the pieces that move as wholes, pixels; above an object's.")
+    ] = 48,
     hold: Annotated[
-        float, typer.Option(help="How much nearer new content must be to replace old, 0..1.")
-    ] = 0.4,
+        float, typer.Option(help="Cost of changing content, against 1 for a seam.")
+    ] = 0.1,
+    follow: Annotated[
+        float, typer.Option(help="Cost of content that moves otherwise than the flow.")
+    ] = 0.03,
+    repeat: Annotated[
+        float, typer.Option(help="How far new content keeps away from what is shown already.")
+    ] = 1.0,
+    mend: Annotated[
+        int, typer.Option(help="New pieces tried per frame, over its worst seams.")
+    ] = 6,
+    fade: Annotated[int, typer.Option(help="Frames over which content passes into new.")] = 3,
+    steps: Annotated[
+        int, typer.Option(help="Steps per pixel; 1 copies whole pixels, and moves less smoothly.")
+    ] = 4,
     loop: Annotated[
         int, typer.Option(help="Return to the first frame over so many frames at the end.")
     ] = 0,
@@ -72,6 +96,7 @@ def animate(
     flow_picture: Annotated[
         Path | None, typer.Option(help="Picture of the first flow field to write.")
     ] = None,
+    solver: Solver = None,
     seed: Seed = 0,
     threads: Threads = None,
     report: Report = None,
@@ -96,7 +121,10 @@ def animate(
     height_width = parse_size(size)
     if boundary not in ("free", "periodic"):
         raise ValueError(f"boundary={boundary!r} must be free or periodic")
-    motion = Motion(stretch=stretch, hold=hold)
+    motion = Motion(
+        patch=patch, hold=hold, follow=follow, repeat=repeat, mend=mend, fade=fade, steps=steps
+    )
+    chosen = solver_of(solver)
     field = parse_flow(flow)
     moving = field if flow_scale == 1 else Scaled(field, flow_scale)
     read = read_files(exemplar, mask or [])
@@ -115,7 +143,7 @@ def animate(
     resume = None if store is None else store.resumed()
     made = animated(
         zs, height_width, moving, frames, masks=masks, motion=motion, boundary=boundary, loop=loop,
-        seed=seed, resume=resume,
+        solver=chosen, seed=seed, resume=resume,
     )  # fmt: skip
     if flow_picture is not None:
         from torchtex.flow.pictures import flow_picture as drawn
@@ -214,7 +242,7 @@ def _beside(
     """Ours, a plain warp and a regenerated one, side by side."""
     import torch
 
-    from torchtex.recipes.animate import regenerated_frames, warped_frames
+    from torchtex.recipes.regeneration import regenerated_frames, warped_frames
 
     first = next(frames)
     plain = warped_frames(first, flow, count, periodic=periodic)

@@ -172,6 +172,54 @@ def check_fields(fields: Tensor, name: str = "fields") -> None:
             )
 
 
+def field_at(flow: Flow, frame: int, size: tuple[int, int]) -> Float[Tensor, "2 h w"]:
+    """The field of a flow after a frame, checked.
+
+    Raises:
+        ValueError: what `check_fields` refuses, or a field of another size.
+
+    Example:
+        >>> field_at(Uniform((0.0, 1.0)), 0, (3, 4)).shape
+        torch.Size([2, 3, 4])
+    """
+    field = flow(frame, *size)
+    check_fields(field, "flow")
+    if tuple(field.shape) != (2, *size):
+        raise ValueError(
+            f"flow has fields of {field.shape[-2]}x{field.shape[-1]} and size={size[0]}x{size[1]}; "
+            "give both the same"
+        )
+    return field
+
+
+def check_flow(flow: Flow, size: tuple[int, int], frames: int = 2) -> None:
+    """Refuses a flow whose first field is none, or is of another size, or that ends too early.
+
+    Args:
+        frames: how many it has to lead through.
+
+    Raises:
+        ValueError: NaN, another rank or size, a displacement larger than the frame, or too few
+            given fields.
+
+    Example:
+        >>> check_flow(Uniform((0.0, 1.0)), (8, 8))
+    """
+    field_at(flow, 0, size)
+    if frames > 2:
+        for part in _given(flow):
+            part(frames - 2, *size)
+
+
+def _given(flow: Flow) -> list[Given]:
+    """The parts of a flow that have an end. The last field of others may take long to make."""
+    if isinstance(flow, Scaled):
+        return _given(flow.flow)
+    if isinstance(flow, Summed):
+        return [given for part in flow.flows for given in _given(part)]
+    return [flow] if isinstance(flow, Given) else []
+
+
 def check_numbers(numbers: Mapping[str, float | Sequence[float]]) -> None:
     """Refuse NaN and infinity in parameters, by name.
 
