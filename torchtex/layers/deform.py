@@ -183,13 +183,40 @@ def deform(
         )
     steps = [deformations] if isinstance(deformations, Deformation) else list(deformations)
     middle = ((h - 1) / 2, (w - 1) / 2) if pivot is None else pivot
+    return warped(image, composed(steps, middle), (h, w) if size is None else size, mask)
+
+
+def composed(deformations: Sequence[Deformation], pivot: tuple[float, float]) -> Tensor:
+    """Where a point (row, column, 1) goes by several deformations, in order.
+
+    Example:
+        >>> composed([Deformation((1.0, 0.0)), Deformation(rotate=180.0)], (0.0, 0.0))[0, 2].item()
+        -1.0
+    """
     matrix = torch.eye(3, dtype=torch.float64)
-    for step in steps:
-        matrix = step.matrix(middle) @ matrix
-    field, inside = _places(matrix, (h, w), (h, w) if size is None else size, image.device)
-    if mask is not None:
-        inside = inside & (field.apply(mask[None].to(image))[0] > 1 - 1e-4)
-    return Deformed(field.apply(image), inside, field)
+    for step in deformations:
+        matrix = step.matrix(pivot) @ matrix
+    return matrix
+
+
+def warped(
+    image: Float[Tensor, "c hz wz"],
+    matrix: Float[Tensor, "3 3"],
+    size: tuple[int, int],
+    mask: Bool[Tensor, "hz wz"] | None = None,
+) -> Deformed:
+    """A picture moved by a matrix of `composed`, in a canvas of that size.
+
+    Example:
+        >>> z = torch.rand(1, 4, 4)
+        >>> torch.equal(warped(z, torch.eye(3, dtype=torch.float64), (4, 4)).texture, z)
+        True
+    """
+    field, inside = _places(matrix, (image.shape[1], image.shape[2]), size, image.device)
+    if mask is None:
+        return Deformed(field.apply(image), inside, field)
+    both = field.apply(torch.cat([image, mask[None].to(image)]))
+    return Deformed(both[:-1], inside & (both[-1] > 1 - 1e-4), field)
 
 
 def _places(

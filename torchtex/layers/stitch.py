@@ -21,6 +21,7 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchtex.cuts.laplace import bounding_box
 from torchtex.cuts.mincut import MinCut, default_solver
 from torchtex.cuts.seams import cut_seam
 from torchtex.layers.deform import Deformed
@@ -142,8 +143,10 @@ def _seen(owner: Tensor, side: int) -> Float[Tensor, "h w"]:
     around = (half, side - 1 - half) * 2
     wide = F.pad(owner[None].double(), around, mode="replicate")[0]
     for number in owner.unique().tolist():
-        seen = box_sums(summed_area((wide == number).double()), side, side)
-        count = torch.where(owner == number, seen, count)
+        rows, cols = bounding_box(owner == number)
+        near = wide[rows.start : rows.stop + side - 1, cols.start : cols.stop + side - 1]
+        seen = box_sums(summed_area((near == number).double()), side, side)
+        count[rows, cols] = torch.where(owner[rows, cols] == number, seen, count[rows, cols])
     return count
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchtex.layers.deform import Deformation, deform
+from torchtex.layers.deform import Deformation, composed, warped
 from torchtex.layers.plans import Operation
 from torchtex.layers.segment import Segmentation
 from torchtex.layers.stitch import Part
@@ -133,15 +133,17 @@ def part_of(
     place = (middle[0] + piece.shift[0], middle[1] + piece.shift[1])
     side = min(z.shape[1:])
     steps = [deformation(one, side, place, size) for one in operations if not piece.still]
-    reach = math.hypot(rows.stop - rows.start, cols.stop - cols.start) / 2
-    reach = 1 + math.ceil(reach * math.prod(s.scale for s in steps))
-    moved = [sum(s.translate[axis] for s in steps) for axis in (0, 1)]
-    # other steps turn about the middle before the move, or after it
-    swing = math.ceil(math.hypot(*moved)) if len(steps) > 1 else 0
-    low = [math.floor(m + d) - reach - swing for m, d in zip(middle, moved, strict=True)]
-    window = 2 * (reach + swing) + 2
-    bring = Deformation((float(-low[0]), float(-low[1])))
-    made = deform(z, [*steps, bring], mask=piece.mask, pivot=middle, size=(window, window))
+    matrix = composed(steps, middle)
+    corners = torch.tensor(
+        [[r, c, 1.0] for r in (rows.start, rows.stop - 1) for c in (cols.start, cols.stop - 1)],
+        dtype=torch.float64,
+    )
+    moved = corners @ matrix.T
+    low = [math.floor(x) - 1 for x in moved.amin(0)[:2].tolist()]
+    high = [math.ceil(x) + 2 for x in moved.amax(0)[:2].tolist()]
+    matrix[0, 2] -= low[0]
+    matrix[1, 2] -= low[1]
+    made = warped(z, matrix, (high[0] - low[0], high[1] - low[1]), piece.mask)
     return Part(made, (low[0] + piece.shift[0], low[1] + piece.shift[1]), piece.exemplar)
 
 

@@ -53,7 +53,7 @@ def finder_of(
         return fft
     if search != "qtp" and not isinstance(search, Qtp):
         raise ValueError(f"search={search!r} is unknown; choose exhaustive, fft or qtp")
-    qtp = Qtp(axes=None) if search == "qtp" else search
+    qtp = Qtp((256, 64, 16), axes=None) if search == "qtp" else search
     used = [number for number in range(len(zs)) if bool((allowed[:, 0] == number).any())]
     return Quick(fft, [_pyramid(qtp, zs[n], masks[n], n, side) for n in used])
 
