@@ -399,26 +399,34 @@ class _Seams:
         report: Callable[[int, float], None],
     ) -> Int[Tensor, "y x"]:
         """Labels of blocks, after every piece was offered to grow over its neighbors."""
-        labels = self.space.at(places)
-        edges, across = self._edges(labels.shape, labels.device)
+        labels = self.space.at(places).flatten()
+        edges, across = self._edges(places.shape[:2], labels.device)
+        first, second = labels[edges].unbind(1)
+        total = float(self._pairs(first, second, across).double().sum())
 
         def free(labels: Tensor) -> Tensor:
             return self.looks.new_zeros(len(labels))
 
-        def pairs(first: Tensor, second: Tensor) -> Tensor:
-            parts = ((first[:across], second[:across], 0), (first[across:], second[across:], 1))
-            return torch.cat([self._costs(*part) for part in parts])
-
         for number, step in enumerate(_STEPS):
-            offer = self._shifted(labels, step)
-            if bool((offer == labels).all()):
+            offer = self._shifted(labels.view(places.shape[:2]), step).flatten()
+            near = (offer != labels)[edges].any(1)  # all else cannot change
+            if not bool(near.any()):
                 continue
-            flat, energies = expand(
-                labels.flatten(), offer.view(1, -1), free, edges, pairs, solver=solver, sweeps=1
-            )
-            labels = flat.view_as(labels)
-            report(number, energies[-1])
-        return labels
+            nodes, ends = torch.unique(edges[near], return_inverse=True)
+            count = int(near[:across].sum())
+            labels[nodes], energies = expand(
+                labels[nodes], offer[None, nodes], free, ends,
+                lambda one, other, count=count: self._pairs(one, other, count),
+                solver=solver, sweeps=1,
+            )  # fmt: skip
+            total += energies[-1] - energies[0]
+            report(number, total)
+        return labels.view(places.shape[:2])
+
+    def _pairs(self, first: Tensor, second: Tensor, across: int) -> Tensor:
+        """Of pairs of neighbors, of which the first ones lie side by side."""
+        right = self._costs(first[:across], second[:across], 0)
+        return torch.cat([right, self._costs(first[across:], second[across:], 1)])
 
     def _costs(self, first: Tensor, second: Tensor, axis: int) -> Tensor:
         """Of pairs along one axis: 0 where the second goes on where the first ends."""
