@@ -40,6 +40,7 @@ QUICK = ("--n", "2", "--no-turns")
 WAYS: list[tuple[str, ...]] = [
     ("--method", "cms", *QUICK),
     ("--method", "cms", "-K", "0.5", "-N", "2", "--mirrors", "--match-luminance"),
+    ("--method", "cms", *QUICK, "--paper", "--tolerance", "5"),
     ("--method", "analogies", "--kappa", "1"),
     ("--method", "quilt", "--bits", "16"),
     ("--method", "random", "--moves", "5", *QUICK, "--seed", "4"),
@@ -88,20 +89,58 @@ def test_detail_tells_how_far_off_it_is(run: Run, here: Path) -> None:
     assert done.code == 0, done.err
     last = done.err.splitlines()[-1]
     assert last.startswith("reduced again, the output is ")
-    assert last.endswith(" % off")
+    assert " % with its colours corrected; it is " in last
     assert pixels("x.png").shape == (3, 32, 36)
-    plain = json.loads(Path("r.json").read_text())["detail_error"]
-    assert 0 < plain < 0.3
+    about = json.loads(Path("r.json").read_text())
+    assert about["detail_error"] < about["detail_error_of_copies"] / 2 < 0.15
+    assert about["sharpness"] > 0.5
     assert run("repeat", "x.png", "-o", "y.png", "--quiet") == Done(0, "y.png\n", "")
     assert torch.equal(pixels("x.png"), pixels("y.png"))
-    more = ("--method", "analogies", "--report", "r.json", "--back-project", "--quiet")
-    assert run(*given, "--detail", "4", *more) == Done(0, "x.png\n", "")
-    assert json.loads(Path("r.json").read_text())["detail_error"] < plain / 2
+    more = ("--method", "analogies", "--report", "r.json", "--no-back-project")
+    done = run(*given, "--detail", "4", *more)
+    assert done.code == 0, done.err
+    assert "raise K, or give a sample more alike" in done.err.splitlines()[-1]
+    about = json.loads(Path("r.json").read_text())
+    assert about["detail_error"] == about["detail_error_of_copies"] > 0.02
+    assert run("repeat", "x.png", "-o", "y.png", "--quiet") == Done(0, "y.png\n", "")
+    assert torch.equal(pixels("x.png"), pixels("y.png"))
+
+
+@pytest.mark.parametrize("more", [("--moves", "5", "--method", "random"), ("--paper",)])
+def test_masked_pixels_of_the_source_are_not_copied(
+    run: Run, here: Path, more: tuple[str, ...]
+) -> None:
+    white = torch.ones(1, 40, 48)
+    white[:, :, ::5] = 0
+    images.save("m.png", white)
+    done = run("analogy", *BASE, *more, *QUICK, "--mask", "m.png", "--labels", "l.npz", "--quiet")
+    assert done == Done(0, "x.png\n", "")
+    assert run("apply", "l.npz", "m.png", "-o", "used.png").code == 0
+    assert bool((pixels("used.png") == 1).all())
+    assert run("repeat", "x.png", "-o", "y.png", "--quiet").code == 0
+    assert torch.equal(pixels("x.png"), pixels("y.png"))
+
+
+def test_a_partial_picture_of_em_has_the_whole_size(
+    run: Run, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from torchtex.cli.base import Watch
+
+    plain = Watch.__call__
+
+    def stopped(self: Watch, progress: Any) -> None:
+        plain(self, progress)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Watch, "__call__", stopped)
+    done = run("analogy", *BASE, "--method", "em", "--keep-partial", "--quiet")
+    assert done.code == 130
+    assert pixels("x.png").shape == (3, 32, 36)
 
 
 def test_transfer_and_its_blur(run: Run, here: Path) -> None:
     given = ("analogy", "--source", "s.png", "--constraint", "grey.png", "-o", "x.png", "--quiet")
-    for more in ((), ("--blur", "1.5"), ("--match-luminance",)):
+    for more in ((), ("--blur", "1.5"), ("--match-luminance", "--contrast", "1.8")):
         done = run(*given, "--transfer", "--method", "analogies", *more)
         assert done == Done(0, "x.png\n", ""), done.err
         assert pixels("x.png").shape == (3, 32, 36)
@@ -200,6 +239,14 @@ BAD: list[tuple[str, tuple[str, ...]]] = [
     ("source: 2 given; numbers takes one", (*BASE, "--source", "t.png", "--numbers")),
     ("back_project needs --detail", (*BASE, "--back-project")),
     ("blur=2.0 needs --transfer", (*BASE, "--blur", "2")),
+    ("contrast=2.0 needs --transfer", (*BASE, "--contrast", "2")),
+    ("contrast=0.0 must be above 0", (*other(mapped=None), "--transfer", "--contrast=0")),
+    ("tolerance=-1.0 must be at least 0", (*BASE, "--tolerance=-1")),
+    ("tolerance=1.0 is of the methods cms", (*BASE, "--method", "em", "--tolerance=1")),
+    ("paper=True is of the methods cms", (*BASE, "--method", "random", "--paper")),
+    ("mask=q.png is of the methods", (*BASE, "--method", "em", "--mask", "q.png")),
+    ("mask: 2 given for 1", (*BASE, "--mask", "q.png", "--mask", "q.png")),
+    ("mask='none.png': there is no such file", (*BASE, "--mask", "none.png")),
     ("blur=-2.0 must be at least 0", (*other(mapped=None), "--transfer", "--blur=-2")),
     ("match_luminance does not go with numbers", (*BASE, "--numbers", "--match-luminance")),
     ("weights: 2 given for 1 constraints", (*BASE, "--weight", "1", "--weight", "2")),

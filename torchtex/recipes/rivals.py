@@ -7,6 +7,7 @@ makes of it a labeling, whose energies can be compared.
 import math
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import torch
 from jaxtyping import Int
@@ -14,6 +15,7 @@ from torch import Tensor
 
 from torchtex.controls import Guide
 from torchtex.cuts.mincut import MinCut, default_solver
+from torchtex.image import resize
 from torchtex.inputs import check_seed
 from torchtex.quadratic import threads
 from torchtex.recipes.analogy import Analogy
@@ -185,13 +187,19 @@ def guided(
         torch.Size([3, 32, 40])
     """
     guides = [problem.guides(j) for j in range(len(problem.sources))]
+
+    def tell(progress: Progress) -> None:
+        assert on_step is not None
+        whole = resize(progress.texture, problem.size)  # coarse levels are smaller
+        on_step(replace(progress, half=replace(progress.half, texture=whole)))
+
     return synthesize(
         list(problem.sources),
         problem.size,
         r=r,
         guides=[Guide(guides, problem.guide(), weight)],
         seed=seed,
-        on_step=on_step,
+        on_step=None if on_step is None else tell,
     )
 
 
