@@ -67,6 +67,7 @@ def grid_of(
 def swept(
     problem: "Analogy", grid: dict[tuple[float | None, int | None], How], watch: "Watch"
 ) -> _Sheet:
+    """The sheet of all pictures of a sweep, made one after another."""
     done, runs = {}, []
     for number, (place, how) in enumerate(grid.items()):
 
@@ -115,6 +116,7 @@ def _write(page: "torch.Tensor", row: int, col: int, text: str) -> None:
 
 
 def patch_picture(done: Finished) -> "torch.Tensor":
+    """Every copy in a colour of its own."""
     from torchtex.recipes.image_analogies import copies
     from torchtex.recipes.montage import Montage, color_labels
 
