@@ -189,3 +189,37 @@ def test_bad_input(run: Run, here: Path, words: str, options: str, output: str) 
 def test_without_the_encoder(run: Run, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     refused(run, here, "imageio-ffmpeg", *LINE, "--frames", 2, "-o", "x.mp4")
+
+
+def test_a_folder_and_a_report_say_how_to_repeat_it(run: Run, here: Path) -> None:
+    line = (*LINE, "--frames", 3, "--patch", 16)
+    assert run(*line, "-o", "frames").code == 0
+    assert run(*line, "-o", "film.gif", "--rate", 10, "--report", "r.json").code == 0
+    assert run("repeat", "frames", "-o", "again", "--quiet").code == 0
+    assert frame_bytes("again") == frame_bytes("frames")
+    assert run("repeat", "r.json", "-o", "again.gif", "--quiet").code == 0
+    assert Path("again.gif").read_bytes() == Path("film.gif").read_bytes()
+
+
+def test_what_cannot_be_repeated(run: Run, here: Path) -> None:
+    Path("empty").mkdir()
+    Path("other.json").write_text("[1, 2]")
+    Path("text.json").write_bytes(b"\xff\xfe")
+    for name, words in (
+        ("empty", "frame_00000.png"),
+        ("other.json", "not complete"),
+        ("text.json", "cannot be read"),
+        ("missing.json", "no such file"),
+    ):
+        refused(run, here, words, "repeat", name, "-o", "x.gif")
+
+
+def test_a_preview_is_gone_on_from(run: Run, here: Path) -> None:
+    line = (*LINE, "--frames", 4)
+    assert run(*line, "-o", "whole").code == 0
+    assert run(*line, "--preview", 2, "-o", "parts").code == 0
+    assert frame_bytes("parts") == frame_bytes("whole")[:2]
+    assert run(*line, "-o", "parts").code == 0
+    assert frame_bytes("parts") == frame_bytes("whole")
+    assert not (Path("parts") / "state.npz").exists()
+    refused(run, here, "preview=0", *line, "--preview", 0, "-o", "x.gif")

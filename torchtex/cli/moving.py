@@ -1,6 +1,7 @@
 """`torchtex animate`: textures that move along a flow."""
 
 import contextlib
+import itertools
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -89,6 +90,9 @@ def animate(
             "--compare", help="Beside it a plain warp, and a warp that is regenerated, in one film."
         ),
     ] = False,
+    preview: Annotated[
+        int | None, typer.Option(help="Only so many of the frames, from the first one.")
+    ] = None,
     keep: Annotated[
         Path | None,
         typer.Option(help="Folder for the frames, and to go on from after an interrupt."),
@@ -105,7 +109,9 @@ def animate(
 ) -> None:
     """Move a texture along a flow, frame by frame; it stays a texture.
 
-    A folder as output, or --keep, goes on where an interrupted run of the same options stopped.
+    A folder as output, or --keep, goes on where an interrupted run of the same options stopped,
+    or where --preview did. The frames in a folder say how they were made, and so does a report:
+    `torchtex repeat` takes either.
     """
     import torch
 
@@ -121,6 +127,9 @@ def animate(
     height_width = parse_size(size)
     if boundary not in ("free", "periodic"):
         raise ValueError(f"boundary={boundary!r} must be free or periodic")
+    if preview is not None and preview < 1:
+        raise ValueError(f"preview={preview} must be at least 1")
+    wanted = frames if preview is None else min(frames, preview)
     motion = Motion(
         patch=patch, hold=hold, follow=follow, repeat=repeat, mend=mend, fade=fade, steps=steps
     )
@@ -139,7 +148,8 @@ def animate(
         "files": {name: sha256(path) for name, path in read.items()},
     }
     zs, masks = load_exemplars(exemplar, mask or [])
-    store = None if folder is None else _Folder(folder, about)
+    record = about | {"options": _told(context)}
+    store = None if folder is None else _Folder(folder, about, record)
     resume = None if store is None else store.resumed()
     made = animated(
         zs, height_width, moving, frames, masks=masks, motion=motion, boundary=boundary, loop=loop,
@@ -155,13 +165,14 @@ def animate(
 
         def stream() -> "Iterator[torch.Tensor]":
             if store is not None and resume is not None:
-                yield from store.pictures(resume.number + 1)
+                yield from store.pictures(min(wanted, resume.number + 1))
             with (
                 contextlib.suppress(KeyboardInterrupt) if keep_partial else contextlib.nullcontext()
             ):
-                for frame in made:
-                    detail = f"{frame.number + 1} of {frames}, {frame.seconds:.1f} s a frame"
-                    done = (frame.number + 1) / frames
+                begin = 0 if resume is None else resume.number + 1
+                for frame in itertools.islice(made, max(0, wanted - begin)):
+                    detail = f"{frame.number + 1} of {wanted}, {frame.seconds:.1f} s a frame"
+                    done = (frame.number + 1) / wanted
                     watch(Stage(done, "frames", frame.texture, detail))
                     lines.append(
                         {
@@ -183,7 +194,7 @@ def animate(
             count = write_video(output, shown, rate=rate)
     if report is not None:
         with images.atomic_write(report, name="report") as temporary:
-            temporary.write_text(json.dumps(about | {"frames": lines}, indent=2) + "\n")
+            temporary.write_text(json.dumps(record | {"frames": lines}, indent=2) + "\n")
     if store is not None and count == frames:
         store.done()
     if Interrupts.seen:
@@ -236,6 +247,12 @@ def _deciding(context: typer.Context) -> dict[str, Any]:
     return {name: value for name, value in kept_options(context).items() if name not in aside}
 
 
+def _told(context: typer.Context) -> dict[str, Any]:
+    """The options that `repeat` needs."""
+    options = kept_options(context)
+    return {name: options[name] for name in options if name not in ("keep", "flow_picture")}
+
+
 def _beside(
     frames: "Iterator[torch.Tensor]", flow: Any, count: int, periodic: bool
 ) -> "Iterator[torch.Tensor]":
@@ -255,8 +272,9 @@ def _beside(
 class _Folder:
     """A folder of frames, and the state that a run goes on from."""
 
-    def __init__(self, folder: Path, about: dict[str, Any]) -> None:
+    def __init__(self, folder: Path, about: dict[str, Any], record: dict[str, Any]) -> None:
         self.folder, self.about = folder, json.dumps(about, sort_keys=True)
+        self.record = {"torchtex": json.dumps(record, sort_keys=True)}
 
     def resumed(self) -> "Frame | None":
         """The last frame that is there, if it is of the same run."""
@@ -288,7 +306,8 @@ class _Folder:
         from torchtex.video import frame_name
 
         self.folder.mkdir(exist_ok=True)
-        images.save(self.folder / frame_name(frame.number), frame.texture)
+        path = self.folder / frame_name(frame.number)
+        images.save(path, frame.texture, metadata=self.record)
         save_frame(self.folder / STATE, frame, self.about)
 
     def done(self) -> None:

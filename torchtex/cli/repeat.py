@@ -17,7 +17,10 @@ from torchtex.cli.synth import Recipe, run
 
 @app.command()
 def repeat(
-    result: Annotated[Path, typer.Argument(help="A picture that `torchtex` wrote.")],
+    result: Annotated[
+        Path,
+        typer.Argument(help="A picture that `torchtex` wrote, a report, or a folder of frames."),
+    ],
     output: Output,
     labels: Labels = None,
     report: Report = None,
@@ -30,9 +33,7 @@ def repeat(
     Relative names are looked up from the current folder. A file written by --keep-partial is
     made whole.
     """
-    from torchtex import image as images
-
-    text = images.read_metadata(result, name="result").get("torchtex")
+    text = _record(result)
     if text is None:
         raise ValueError(
             f"result={str(result)!r} does not say how it was made; "
@@ -51,6 +52,22 @@ def repeat(
     if not quiet:
         _tell_version(about)
     run(recipe, output, labels, report, threads, keep_partial, quiet, source=result)
+
+
+def _record(result: Path) -> str | None:
+    """What a file, or the first frame in a folder, says about how it was made."""
+    from torchtex import image as images
+    from torchtex.video import frame_name
+
+    if result.suffix.lower() != ".json":
+        picture = result / frame_name(0) if result.is_dir() else result
+        return images.read_metadata(picture, name="result").get("torchtex")
+    try:
+        return result.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise ValueError(f"result={str(result)!r}: there is no such file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"result={str(result)!r} cannot be read ({error})") from None
 
 
 def _tell_version(about: dict[str, Any]) -> None:
@@ -104,8 +121,9 @@ def _run_again(
     quiet: bool,
     source: Path,
 ) -> None:
-    check_output(output, [source])
     name, *rest = line
+    if name != "animate":  # which writes films and folders, and checks them itself
+        check_output(output, [source])
     extra = [f"--output={output}"]
     extra += [f"--labels={labels}"] if labels is not None else []
     extra += [f"--report={report}"] if report is not None else []
