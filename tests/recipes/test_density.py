@@ -138,6 +138,17 @@ def test_a_new_picture_of_another_size() -> None:
     assert not bool(yellow(done.texture)[:, :44].any())
 
 
+def test_the_new_ground_has_the_colours_of_the_old_one_everywhere() -> None:
+    image, elements = meadow()
+    image = (image + 0.2 * torch.linspace(0, 1, 52, dtype=torch.float64)).clamp(0, 1)  # uneven
+    done = density(image, 0.0, elements=elements, size=(96, 104))
+    old = image[:, elements.labels == 0]
+    for part in done.texture.unfold(1, 32, 32).unfold(2, 26, 26).flatten(1, 2).unbind(1):
+        low, high = old.quantile(0.02, 1), old.quantile(0.98, 1)
+        middle = part.flatten(1).mean(1)
+        assert bool(((middle > low) & (middle < high)).all())
+
+
 def test_nothing_is_changed_by_one() -> None:
     image, elements = meadow()
     done = density(image, 1.0, elements=elements)

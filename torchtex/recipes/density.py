@@ -21,6 +21,7 @@ from torchtex.image import check_image
 from torchtex.inputs import check_pair, check_seed
 from torchtex.layers.elements import Elements, find_elements
 from torchtex.patches import box_sums, summed_area
+from torchtex.quadratic import threads
 from torchtex.recipes.completion import complete
 from torchtex.recipes.graphcut import graphcut
 from torchtex.recipes.local_edit import Objects, edit
@@ -32,6 +33,7 @@ from torchtex.sources import copied, pixel_places
 _PATCHES = (32, 24, 16, 12)
 _PLACES = 64  # of a patch on the ground, so that it does not repeat
 _RIM = 3  # pixels around an element that are not taken for ground
+_DRIFT = 12  # pixels, from which on a change of level is no matter of a seam
 _BAND = 4  # pixels around a new element where the cut decides
 _LARGEST = 1000.0
 
@@ -125,6 +127,8 @@ def density(
                 on_step=watch.removing,
             )
         base, positions, patches = done.texture, done.field.positions[0], done.patches
+        if size is not None and poisson:
+            base = _level(base, done.apply(image if ground is None else ground))
         if size is not None and ground is not None:  # which is exemplar 1
             positions = positions + positions.new_tensor([1, 0, 0])
     texture, count = base, int(patches.max())
@@ -231,6 +235,17 @@ def _cleared(
         seed=seed,
         on_step=on_step,
     )
+
+
+def _level(levelled: Tensor, plain: Tensor) -> Tensor:
+    """What a Poisson solve does along seams, without the slow drift of colours over all of it."""
+    from kornia.filters import gaussian_blur2d
+
+    change = levelled - plain
+    width = min(6 * _DRIFT + 1, 2 * ((min(plain.shape[1:]) - 1) // 2) + 1)
+    with threads(1):
+        slow = gaussian_blur2d(change[None], (width, width), (_DRIFT, _DRIFT), "replicate")[0]
+    return (plain + change - slow).clamp(0, 1)
 
 
 def _free(elements: Elements, image: Tensor) -> Tensor:
