@@ -42,11 +42,21 @@ def test_same_seed_same_bits_for_any_threads() -> None:
 
 
 def test_energy_falls_and_colours_stay() -> None:
-    exemplar = spots()
-    made = solid(exemplar, (24, 24, 24), schedule=(Level(0.5, 8, 5, 2), Level(1.0, 8, 4, 4)))
+    plan = (Level(0.5, 8, 5, 2), Level(1.0, 8, 4, 4))
+    made = solid(stripes(48, 48), (24, 24, 24), schedule=plan)
     for trace in made.traces:
         assert trace.energies[-1] < trace.energies[0]
-    assert float(earth_mover(made.volume, exemplar).max()) < 0.05
+    assert float(earth_mover(made.volume, stripes(48, 48)).max()) < 0.05
+
+
+def test_histograms_hold_a_rare_motif() -> None:
+    # a single ring: slices of spheres hold fewer of its colours than the picture
+    plan = (Level(0.5, 8, 5, 2), Level(1.0, 8, 4, 4))
+    apart = [
+        float(earth_mover(solid(spots(), (24, 24, 24), schedule=plan, histogram=h).volume, spots()))
+        for h in (0.0, 5.0)
+    ]
+    assert apart[1] < 0.75 * apart[0]
 
 
 def test_a_volume_tiles() -> None:

@@ -57,7 +57,7 @@ def solid(
     ] = 50.0,
     histogram: Annotated[
         float, typer.Option(help="How strongly colours that are too frequent lose weight; 0: not.")
-    ] = 1.0,
+    ] = 5.0,
     steps: Annotated[int | None, typer.Option(min=1, help="On every level; kopf alone.")] = None,
     octaves: Annotated[int, typer.Option(help="Of skeletal: halvings of the coarse solid.")] = 1,
     refine: Annotated[

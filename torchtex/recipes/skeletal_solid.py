@@ -30,7 +30,7 @@ def skeletal_solid(
     map_weight: float = 1.0,
     r: float = 0.8,
     completeness: float = 50.0,
-    histogram: float = 1.0,
+    histogram: float = 5.0,
     seed: int = 0,
     on_step: Callable[[SolidStep], None] | None = None,
     on_level: Callable[[SolidCheckpoint], None] | None = None,

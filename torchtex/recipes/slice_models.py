@@ -18,6 +18,7 @@ from torch import Tensor
 from torchtex.matching import Exact, principal_axes
 from torchtex.model import label_space, strips
 from torchtex.neighborhoods import falloff
+from torchtex.quadratic import rowwise_sum
 from torchtex.volumes.histograms import excess
 from torchtex.volumes.slices import Group, Windows
 
@@ -28,7 +29,14 @@ MOST_PRICED = 2**15
 """Prices of neighborhoods are made from about so many windows."""
 
 SOFT = 1e-3
-"""Squared distances below this count as equal, so that no weight is infinite."""
+"""Squared distances of windows below this count as equal, so that no weight is infinite."""
+
+EVEN = 1.0
+"""Times the mean squared distance that is added to each in a robust weight: slices in one
+direction that match exactly would else overrule the two others for good."""
+
+NEAR = 1e-2
+"""Squared distances of colours below this count as equal: the heavier window is copied."""
 
 
 @dataclass(frozen=True)
@@ -173,15 +181,21 @@ def match(
         mine = [group for other, group in sides if id(other) == name]
         sample = torch.cat(list(_sampled(volume, model, mine)))
         keys[name] = model.search(model.prices(sample, completeness))
-    found, energy, count = [], 0.0, 0
+    labels, squares = [], []
     for model, group in sides:
-        slices = group.of(volume)
-        labels, squared = keys[id(model)].match(model.reduced(group.windows.gather(slices)))
-        shape = (len(slices), *group.windows.shape)
-        energy += float((squared + SOFT).pow(r / 2).view(len(slices), -1).sum(1).sum())
-        count += len(labels)
-        weights = (squared + SOFT).pow(r / 2 - 1).view(shape)
-        found.append(Matched(group, model, model.starts[labels].view(shape), weights))
+        windows = group.windows.gather(group.of(volume))
+        label, squared = keys[id(model)].match(model.reduced(windows))
+        labels.append(label)
+        squares.append(squared)
+    count = sum(len(squared) for squared in squares)
+    energy = sum(float(rowwise_sum((s + SOFT).pow(r / 2))) for s in squares)
+    mean = sum(float(rowwise_sum(s)) for s in squares) / count
+    soft = SOFT + EVEN * mean
+    found = []
+    for (model, group), label, squared in zip(sides, labels, squares, strict=True):
+        shape = (-1, *group.windows.shape)
+        weights = (squared + soft).pow(r / 2 - 1).view(shape)
+        found.append(Matched(group, model, model.starts[label].view(shape), weights))
     return found, energy, count
 
 
@@ -258,7 +272,7 @@ def snapped(
             place = one.at(i, j)
             said = table.index_select(0, place).view(*shape, -1)
             gap = (said - windows.at(wanted, i, j)).square_() @ weights
-            gap = (gap + SOFT) / (one.weights * profile[i, j])
+            gap = (gap + NEAR) / (one.weights * profile[i, j])
             here, there = windows.at(cost, i, j), windows.at(source, i, j)
             wins = gap < here
             here.copy_(torch.where(wins, gap, here))

@@ -25,6 +25,10 @@ from torchtex.recipes.solid_result import Solid, SolidCheckpoint, SolidStep, Sol
 from torchtex.schedule import Level
 from torchtex.volumes.slices import Group, groups
 
+SNAPPED = 1
+"""Last steps of a level, after which every voxel becomes an exemplar pixel; earlier it would hold
+on to the direction that it came from."""
+
 DIMENSIONS = 48
 """Principal axes of neighborhoods that are compared."""
 
@@ -58,7 +62,7 @@ class Solving:
 
     r: float = 0.8
     completeness: float = 50.0
-    histogram: float = 1.0
+    histogram: float = 5.0
     map_weight: float = 1.0
 
     def __post_init__(self) -> None:
@@ -76,7 +80,7 @@ def solid(
     map_weight: float = 1.0,
     r: float = 0.8,
     completeness: float = 50.0,
-    histogram: float = 1.0,
+    histogram: float = 5.0,
     schedule: Sequence[Level] | None = None,
     seed: int = 0,
     on_step: Callable[[SolidStep], None] | None = None,
@@ -85,8 +89,8 @@ def solid(
 ) -> Solid:
     """Makes a volume whose slices across all three axes look like the exemplars.
 
-    The slices of the three directions are three texture energies of one volume. Every voxel is
-    in the end one exemplar pixel. The volume tiles in all directions.
+    The slices of the three directions are three texture energies of one volume. Each voxel is in
+    the end one exemplar pixel. The volume tiles in all directions.
 
     Args:
         exemplars: one image (c, hz, wz) for all axes; two, the first for both side views (across
@@ -253,7 +257,7 @@ class Run:
             self._tell(on_step, number, step + 0.5, energies[-1], volume)
             mean = averaged(matches, table, volume, self.solving.histogram)
             pixel, axis = snapped(matches, table, mean, weights)
-            volume = table[pixel]
+            volume = table[pixel] if step >= level.steps - SNAPPED else mean
             self._tell(on_step, number, step + 1.0, energies[-1], volume)
         trace = SolidTrace(level, tuple(energies), count, time.perf_counter() - began)
         return SolidCheckpoint(
