@@ -24,7 +24,8 @@ import torch
 from common import add_arguments, environment, photos_of, timed
 from exemplars import crop
 
-from torchtex import metrics
+from torchtex import data, metrics
+from torchtex import image as images
 from torchtex.layers.marbling import marble
 from torchtex.layers.tines import Comb, Tine, Wave
 from torchtex.layers.whirls import Circle, Drop, Vortex
@@ -112,11 +113,41 @@ def table(photos, times):
     return "\n".join(lines)
 
 
+def sheet(path):
+    """Bundled exemplars: tile, marbled, combed with ink, and both on things and on the ground."""
+    rows = []
+    floor = graphcut(data.load("wood"), (256, 256), boundary="periodic", seed=2).texture
+    inked = [
+        Drop(0.5, 0.5, 0.2, (0.93, 0.9, 0.82)), Drop(0.5, 0.5, 0.14, (0.16, 0.28, 0.42)),
+        Drop(0.5, 0.5, 0.08, (0.85, 0.55, 0.2)), Comb(6, 90.0, 0.12), Comb(6, 0.0, 0.06),
+    ]  # fmt: skip
+    for name, things in (
+        ("tissue", ("vase", "cloth")),
+        ("wood", ("torus", "sphere")),
+        ("bricks", ("cube", "plane")),
+    ):
+        tile = graphcut(data.load(name), (SIDE, SIDE), boundary="periodic", seed=1).texture
+        tile = tile.expand(3, -1, -1).contiguous()
+        size = (256, 256)
+        marbled = marble(tile, DESIGN, periodic=True, size=size)
+        inks = marble(tile, inked, periodic=True, size=size)
+        shown = [
+            texture_picture(marbled, things[0], ground=floor, size=size),
+            texture_picture(tile if name == "bricks" else inks, things[1], normals=0.4, size=size),
+        ]
+        rows.append(torch.cat([images.resize(tile, size).clamp(0, 1), marbled, inks, *shown], 2))
+    images.save(path, torch.cat(rows, 1))
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     add_arguments(parser, threads=1, repeats=3)
+    parser.add_argument("--sheet", action="store_true", help="only the contact sheet")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
+    sheet(options.out / "sheet_marbling.jpg")
+    if options.sheet:
+        return
     photos = {name: of_photo(photo) for name, photo in photos_of(options).items()}
     large = torch.rand(3, 512, 512, generator=torch.Generator().manual_seed(0))
     times = {

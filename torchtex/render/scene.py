@@ -169,7 +169,7 @@ class _Scene:
             lit = self._lit(thing, color, normal, place)
             old = empty[pixels[:, 0], pixels[:, 1]]
             away = (place - place.new_tensor(self.camera.eye)).norm(dim=1, keepdim=True)
-            clear = torch.exp(-((away / self.haze) ** 2) * 2)
+            clear = torch.exp(-((away / self.haze) ** 4) * 2)
             empty[pixels[:, 0], pixels[:, 1]] = old + clear * (lit - old)
         return empty
 
