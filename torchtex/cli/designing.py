@@ -223,8 +223,8 @@ def design(
     from torchtex.recipes.layered import Filling
 
     layering = Layering(
-        layers, way, Chaos(chaos, combined, iterations), _plan(plan), True, 4,
-        Filling(patch, how, which),
+        layers, way, Chaos(chaos, combined, iterations), _plan(plan),
+        filling=Filling(patch, how, which),
     )  # fmt: skip
 
     def made(count: int, watch: Watch) -> "list[Montage]":

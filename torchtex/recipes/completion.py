@@ -216,7 +216,7 @@ class _Run:
             # neighbours that are not here must find what they have beside them
             first = (canvas.held[window] | self._beside(window)) & ~empty
             blank = torch.where(empty, new, old)
-            labels = cut_patch(blank, new, first, empty, solver=self.solver)
+            labels = cut_patch(blank, new, first, empty, gradient=True, solver=self.solver)
         self.count += 1
         canvas.views[:, :, window[0], window[1]] = torch.where(labels, new, old)
         place = pixel_places((side, side), new.device) + torch.tensor([row, col], device=new.device)

@@ -52,7 +52,7 @@ class Layering:
     chaos: Chaos = field(default_factory=Chaos)
     plan: Plan | None = None
     children: bool = True
-    band: int = 4
+    band: int = 6
     filling: Filling = field(default_factory=Filling)
 
 

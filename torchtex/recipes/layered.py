@@ -34,7 +34,7 @@ _STEP = 1_000_003  # from the seed of a design to those of its parts
 
 @dataclass(frozen=True)
 class Filling:
-    """How holes are completed: options of `complete`.
+    """How holes are completed: options of `complete`; seams may run far into layers.
 
     Example:
         >>> Filling(patch=24).search
@@ -45,7 +45,7 @@ class Filling:
     order: Order = "scan"
     search: Search = "fft"
     tolerance: float = 0.0
-    rim: int = 8
+    rim: int = 16
 
     def plain(self) -> dict[str, Any]:
         """The same as plain values."""
@@ -61,7 +61,7 @@ def layered(
     chaos: Chaos | None = None,
     plan: Plan | None = None,
     children: bool = True,
-    band: int = 4,
+    band: int = 6,
     filling: Filling | None = None,
     poisson: bool = False,
     solver: MinCut | None = None,
