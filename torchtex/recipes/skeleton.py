@@ -304,14 +304,15 @@ class _Shape:
 
 
 def _plan(coarse: Tensor, shape: _Shape) -> tuple[Level, ...]:
-    """The levels of the default schedule that are as coarse, and smaller windows for the rest."""
+    """The levels of the default schedule that are as coarse, or for few pixels some of our own."""
     most = min(*shape.blocks, *(n // shape.side for n in coarse.shape[1:]))
     plan = [
         replace(level, scale=level.scale * shape.side)
         for level in default_schedule()
         if level.scale * shape.side <= 1
     ]
-    plan = plan if plan and plan[-1].scale == 1 else [Level(1.0, 12, 3), Level(1.0, 8, 8)]
+    if shape.levels > 1:  # only levels below full scale are complete, so one is needed
+        plan = [Level(0.5, 8, 6), Level(1.0, 12, 3), Level(1.0, 8, 8)]
     picture = coarse.new_zeros(1, most, most)
     room = [level for level in roomy(plan, [picture]) if level.extent(most) >= level.size]
     return tuple(room) if room and room[-1].scale == 1 else (Level(1.0, _LEAST, 8),)
