@@ -73,6 +73,16 @@ def looks(made, exemplar, axes):
     return found
 
 
+def ratio(one, other):
+    """None where the other is a copy of the exemplar, which no ratio says anything about."""
+    return None if other < 1e-4 else one / other
+
+
+def shown(number, digits):
+    """A number for the table."""
+    return "-" if number is None else f"{number:.{digits}f}"
+
+
 def given(name, exemplar):
     """What a photo prescribes, and the axes it is measured on."""
     sided = name in SIDED
@@ -94,10 +104,10 @@ def slice_rows(photos):
             row = {"exemplar": name, "way": way} | spent | looks(made, exemplar, axes)
             for key in ("nn", "tail", "diagonal nn", "diagonal tail"):
                 bare = key.split()[-1]
-                row[f"{key} over 2d"] = row[key] / plain[bare]
-                row[f"{key} over real"] = float("nan") if real is None else row[key] / real[bare]
+                row[f"{key} over 2d"] = ratio(row[key], plain[bare])
+                row[f"{key} over real"] = None if real is None else ratio(row[key], real[bare])
             rows.append(row)
-            print(name, way, *(f"{key} {row[key]:.3f}" for key in COLUMNS), flush=True)
+            print(name, way, *(f"{key} {shown(row[key], 3)}" for key in COLUMNS), flush=True)
     return rows
 
 
@@ -132,8 +142,9 @@ def table(file, report):
         lines += ["| exemplar | way | " + " | ".join(COLUMNS) + " |"]
         lines += ["|" + " --- |" * (len(COLUMNS) + 2)]
         for row in report["slices"]:
-            cells = [f"{row[key]:.1f}" for key in COLUMNS[:2]]
-            cells += [f"{row[key]:.3f}" for key in COLUMNS[2:]]
+            cells = [shown(row[key], 1) for key in COLUMNS[:2]]
+            cells += [shown(row[key], 3) for key in COLUMNS[2:9]]
+            cells += [shown(row[key], 2) for key in COLUMNS[9:]]
             lines.append("| " + " | ".join([row["exemplar"], row["way"], *cells]) + " |")
         lines += ["", "Skeletal over kopf, medians over the exemplars:"]
         ways = {way: [r for r in report["slices"] if r["way"] == way] for way in WAYS}
