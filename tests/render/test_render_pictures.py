@@ -126,6 +126,25 @@ def test_meshes_from_files_keep_colours_and_fit(tmp_path: Path) -> None:
             load_mesh(tmp_path / name)
 
 
+def test_a_texture_that_a_file_holds_is_shown(tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    from PIL import Image
+
+    mesh = wall()
+    assert mesh.uv is not None
+    green = Image.new("RGB", (8, 8), (10, 200, 10))
+    uv = torch.stack([mesh.uv[:, 1], 1 - mesh.uv[:, 0]], 1).numpy()
+    made = trimesh.Trimesh(mesh.vertices.numpy(), mesh.faces.numpy(), process=False)
+    made.visual = trimesh.visual.TextureVisuals(uv=uv, image=green)
+    made.export(tmp_path / "a.glb")
+    read = load_mesh(tmp_path / "a.glb")
+    assert read.texture is not None
+    assert read.uv is not None
+    assert torch.allclose(read.uv, mesh.uv)
+    shown = mesh_picture(read, gloss=0.0, light=FLAT, size=(9, 9), samples=1)
+    assert torch.allclose(shown[:, 4, 4], torch.tensor([10.0, 200.0, 10.0]) / 255, atol=0.05)
+
+
 def test_wrapping_has_no_seam_inside_a_triangle() -> None:
     ball = wrapped(Mesh(sphere(12).vertices, sphere(12).faces))
     assert ball.uv is not None

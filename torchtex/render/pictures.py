@@ -98,7 +98,7 @@ def mesh_picture(
     shadows: bool = True,
     samples: int = 3,
 ) -> Float[Tensor, "3 h w"]:
-    """A mesh with the colours of its vertices, or with those of a solid texture.
+    """A mesh with a solid texture, or else with the texture or the colours that came with it.
 
     Args:
         color: of places (n, 3), the mesh's `places` if it has them, else its vertices.
@@ -113,7 +113,8 @@ def mesh_picture(
     """
     _check(1.0, 0.0, gloss)
     chosen = Camera() if camera is None else camera
-    thing = Thing(mesh, color=color, gloss=gloss)
+    own = mesh.texture if color is None else None
+    thing = Thing(mesh, own, color=color, gloss=gloss)
     return draw([thing], chosen, light, size, shadows=shadows, samples=samples)
 
 

@@ -25,6 +25,7 @@ class Mesh:
         normals: of every vertex; None for flat triangles.
         colors: of every vertex, in [0, 1].
         places: of every vertex: where a solid texture is asked for its colour.
+        texture: (k, h, w), one that came with the mesh.
 
     Raises:
         ValueError: arrays that do not fit, or a face with a vertex that there is none of.
@@ -40,6 +41,7 @@ class Mesh:
     normals: Float[Tensor, "v 3"] | None = None
     colors: Float[Tensor, "v c"] | None = None
     places: Float[Tensor, "v 3"] | None = None
+    texture: Float[Tensor, "k h w"] | None = None
 
     def __post_init__(self) -> None:
         count = len(self.vertices)

@@ -4,7 +4,9 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
+from torch import Tensor
 
 from torchtex.render.shapes import Mesh
 
@@ -56,6 +58,8 @@ def cube_cutaway(cut: float = 0.5, side: float = 1.15) -> Mesh:
 def load_mesh(path: str | Path, *, name: str = "mesh") -> Mesh:
     """A mesh from an .obj, .ply, .glb, .gltf, .stl or .off file, moved and scaled to the origin.
 
+    Colours of its vertices, or a texture that it holds, come with it.
+
     Args:
         name: what an error calls `path`.
 
@@ -90,18 +94,27 @@ def load_mesh(path: str | Path, *, name: str = "mesh") -> Mesh:
         raise ValueError(f"{where} is no mesh that can be read ({error})") from None
     if not len(faces):
         raise ValueError(f"{where} holds no triangles; choose another file")
-    uv = colors = None
+    uv = colors = texture = None
     at = getattr(found.visual, "uv", None)
     if at is not None and len(at) == len(vertices):
         at = torch.tensor(at).float()
         uv = torch.stack([1 - at[:, 1], at[:, 0]], -1)
+        texture = _texture(found.visual.material)
     elif found.visual.kind == "vertex":
         colors = torch.tensor(found.visual.vertex_colors[:, :3].copy()).float() / 255
     low, high = vertices.amin(0), vertices.amax(0)
     middle = (low + high) / 2
     moved = (vertices - middle) / (vertices - middle).norm(dim=1).max().clamp(min=1e-12)
     places = (vertices - low) / (high - low).clamp(min=1e-12)
-    return Mesh(moved, faces, uv, normals, colors, places)
+    return Mesh(moved, faces, uv, normals, colors, places, texture)
+
+
+def _texture(material: Any) -> Tensor | None:
+    """The picture that a material of trimesh holds, if it does."""
+    picture = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
+    if picture is None or min(picture.size) < 2:
+        return None
+    return torch.from_numpy(np.array(picture.convert("RGB"))).permute(2, 0, 1).float() / 255
 
 
 def wrapped(mesh: Mesh) -> Mesh:
