@@ -233,7 +233,7 @@ class Run:
             return table[(pick + from_).to(table.device)]
         coarse = shapes_of(self.images(self.levels[number - 1]))
         fine = shapes_of(pictures)
-        return table[finer_places(state.pixel, state.axis, coarse, fine, extent)]
+        return table[finer_places(state.pixel, state.axis, coarse, fine, extent, generator)]
 
     def solve_level(
         self,

@@ -46,6 +46,7 @@ def finer_places(
     coarse: Sequence[tuple[int, int]],
     fine: Sequence[tuple[int, int]],
     extent: Sequence[int],
+    generator: torch.Generator | None = None,
 ) -> Int[Tensor, "d2 h2 w2"]:
     """Pixels of finer exemplars for the voxels of a finer volume: sharp from the first step on.
 
@@ -55,18 +56,23 @@ def finer_places(
     Args:
         coarse, fine: height and width of each exemplar at the two scales.
         extent: of the finer volume.
+        generator: picks for each voxel one of the coarse ones around it, the nearer the likelier;
+            without one it is the nearest, and the voxels of a coarse one are alike.
     """
     parents, shifts = [], []
     for dim, (many, few) in enumerate(zip(extent, pixel.shape, strict=True)):
-        centre = (torch.arange(many, device=pixel.device) + 0.5) * few / many
-        parent = centre.long().clamp_(max=few - 1)
-        parents.append(parent)
         shape = [1, 1, 1]
         shape[dim] = many
-        shifts.append((centre - parent - 0.5).view(shape).expand(*extent))
+        centre = (((torch.arange(many) + 0.5) * few / many) - 0.5).view(shape).expand(*extent)
+        if generator is None:
+            parent = centre.round().long().clamp(0, few - 1)
+        else:
+            parent = (centre + torch.rand(*extent, generator=generator)).floor().long()
+        parents.append((parent % few).to(pixel.device))
+        shifts.append((centre - parent).to(pixel.device))
     z, y, x = parents
-    places = places_of(pixel, coarse)[z][:, y][:, :, x].long()
-    across = axis[z][:, y][:, :, x]
+    places = places_of(pixel, coarse)[z, y, x].long()
+    across = axis[z, y, x]
     out = torch.zeros(*extent, dtype=torch.long, device=pixel.device)
     first = 0
     for number, (old, new) in enumerate(zip(coarse, fine, strict=True)):
