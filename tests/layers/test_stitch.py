@@ -1,5 +1,6 @@
 """Stitched layers: copies of their sources, the best seam, holes where none is."""
 
+from dataclasses import replace
 from itertools import product
 
 import pytest
@@ -111,6 +112,14 @@ def test_slivers_become_holes_and_wide_parts_stay() -> None:
         made = stitch([part(image, mask)], (20, 20), narrowest=5)
         assert torch.equal(made.holes, torch.ones_like(mask) if holes else ~mask)
         assert not bool(made.texture[:, made.holes].any())
+
+
+def test_a_whole_part_is_shown_however_small() -> None:
+    ground, thing = noise(1, 24, 24), noise(1, 24, 24, seed=1)
+    mask = boxed((24, 24), slice(5, 7), slice(5, 8))
+    small = replace(part(thing, mask), whole=True)
+    made = stitch([part(ground, torch.ones_like(mask)), small], (24, 24))
+    assert torch.equal(made.owner == 1, mask)
 
 
 def test_parts_may_hang_out_and_come_from_several_exemplars() -> None:

@@ -73,12 +73,16 @@ def test_layers_fill_any_size_from_several_exemplars() -> None:
     assert set(made.source_map[..., 0].unique().tolist()) == {0, 1}
 
 
-def test_a_layer_that_vanishes_is_refused() -> None:
+def test_a_layer_that_vanishes_is_refused_and_a_small_one_is_shown() -> None:
     z = dots()
     labels = torch.zeros(48, 48, dtype=torch.long)
-    labels[20:24, 20:24] = 1  # so small that nothing of it is shown
+    labels[20:24, 20:24] = 1  # too small for a seam in it
+    parts = [Segmentation(labels, labels)]
+    made = layered(z, parts, filling=FILLING)
+    assert torch.equal(made.apply(z), made.texture)
+    step = Operation("translate", "right", 0.5)
     with pytest.raises(ValueError, match="layer 2 vanished"):
-        layered(z, [Segmentation(labels, labels)], filling=FILLING)
+        layered(z, parts, plan=Plan(((), (step, step))), filling=FILLING)
 
 
 def test_layers_must_be_those_of_the_exemplars() -> None:

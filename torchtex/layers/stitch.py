@@ -39,11 +39,13 @@ class Part:
         deformed: its pixels, where they come from, and its mask.
         at: row and column of its first pixel; it may hang out of the canvas.
         exemplar: number of the picture that it is from.
+        whole: it is shown up to its border, however small it is, where none lies over it.
     """
 
     deformed: Deformed
     at: tuple[int, int] = (0, 0)
     exemplar: int = 0
+    whole: bool = False
 
 
 @dataclass(frozen=True)
@@ -113,13 +115,17 @@ def stitch(
             continue
         old, new = texture[:, window[0], window[1]], part.deformed.texture[:, own[0], own[1]]
         known = owner[window] >= 0
-        shown = _cut(old, new, known, mask, band, solver) if bool((known & mask).any()) else mask
+        shown = mask
+        if bool((known & mask).any()):
+            shown = _cut(old, new, known, mask, 0 if part.whole else band, solver)
         source = _positions(part, own)
         texture[:, window[0], window[1]] = torch.where(shown, new, old)
         positions[window] = torch.where(shown[..., None], source, positions[window])
         owner[window] = torch.where(shown, number, owner[window])
     if narrowest > 1:
-        owner = torch.where(_wide(owner, narrowest), owner, -1)
+        whole = owner.new_tensor([n for n, part in enumerate(parts) if part.whole])
+        kept = _wide(owner, narrowest) | torch.isin(owner, whole)
+        owner = torch.where(kept, owner, -1)
     holes = owner < 0
     texture[:, holes], positions[holes] = 0.0, 0.0
     return Stitched(texture, positions, owner)

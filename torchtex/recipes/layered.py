@@ -9,7 +9,7 @@ section 3.4, for the quick search and for several deformed sources.
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import torch
@@ -28,7 +28,6 @@ from torchtex.recipes.montage import Montage, Stage
 from torchtex.recipes.patch_finders import Search
 from torchtex.sources import copied
 
-_DRAWS = 5  # plans that are tried until every layer is seen
 _STEP = 1_000_003  # from the seed of a design to those of its parts
 
 
@@ -117,14 +116,12 @@ def layered(
     with threads(1):
         pieces = pieces_of(zs, segmentations, size, children, generator)
         order = sorted(range(len(pieces)), key=lambda n: -pieces[n].area)
-        for attempt in range(1 if plan is not None else _DRAWS):
-            used = plan
-            if used is None:
-                used = (chaos or Chaos()).plan(len(pieces), part_seed(seed, attempt))
-            made = _stitched(zs, pieces, used, order, size, band, solver)
-            gone = None if len(zs) > 1 else _vanished(pieces, order, made.owner)
-            if gone is None:
-                break
+        used = (chaos or Chaos()).plan(len(pieces), seed) if plan is None else plan
+        made = _stitched(zs, pieces, used, order, size, band, solver, None)
+        gone = None if len(zs) > 1 else _vanished(pieces, order, made.owner)
+        if gone is not None:  # too small for seams to be cut in it
+            made = _stitched(zs, pieces, used, order, size, band, solver, gone)
+            gone = _vanished(pieces, order, made.owner)
         if gone is not None:
             raise ValueError(
                 f"layer {gone + 1} vanished: its pieces are covered or lie outside after "
@@ -137,7 +134,7 @@ def layered(
     settings = {
         "recipe": "layered", "size": list(size), "layers": [s.count for s in segmentations],
         "children": children, "band": band, "filling": filling.plain(), "poisson": poisson,
-        "chaos": asdict(chaos or Chaos()), "plan": used.plain() if used else [],
+        "chaos": asdict(chaos or Chaos()), "plan": used.plain(),
         "holes": int(made.holes.sum()), "pasted": done.settings.get("pasted", 0),
         "energy": done.settings.get("energy", 0.0),
     }  # fmt: skip
@@ -155,13 +152,18 @@ def _stitched(
     size: tuple[int, int],
     band: int,
     solver: MinCut,
+    whole: int | None,
 ) -> Stitched:
+    """All pieces laid down, those of a layer whole."""
     if len(plan.layers) != len(pieces):
         raise ValueError(
             f"plan has {len(plan.layers)} lists of operations for {len(pieces)} pieces; give one "
             "each"
         )
     parts = [part_of(zs[pieces[n].exemplar], pieces[n], plan.layers[n], size) for n in order]
+    parts = [
+        replace(part, whole=pieces[n].layer == whole) for n, part in zip(order, parts, strict=True)
+    ]
     return stitch(parts, size, band=band, solver=solver)
 
 
