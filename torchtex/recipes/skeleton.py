@@ -312,7 +312,8 @@ def _plan(coarse: Tensor, shape: _Shape) -> tuple[Level, ...]:
         if level.scale * shape.side <= 1
     ]
     if shape.levels > 1:  # only levels below full scale are complete, so one is needed
-        plan = [Level(0.5, 8, 6), Level(1.0, 12, 3), Level(1.0, 8, 8)]
+        first = Level(0.5, 8 if most >= 32 else 4, 6)
+        plan = [first, Level(1.0, 12, 3), Level(1.0, 8, 8)]
     picture = coarse.new_zeros(1, most, most)
     room = [level for level in roomy(plan, [picture]) if level.extent(most) >= level.size]
     return tuple(room) if room and room[-1].scale == 1 else (Level(1.0, _LEAST, 8),)
