@@ -97,7 +97,9 @@ def analogy(
     ] = None,
     tolerance: Annotated[
         float | None,
-        typer.Option(help="E' must fall by more in 5 moves, K + 2; more is quicker; of cms."),
+        typer.Option(
+            help="E' must fall by more in 5 moves, K + 2, or 5 (K + 2) for --detail; of cms."
+        ),
     ] = None,
     paper: Annotated[
         bool, typer.Option("--paper", help="Search the worst places one by one; of cms.")
@@ -175,7 +177,19 @@ def analogy(
         detail, back_project, transfer, blur, contrast, numbers, match_luminance,
         tuple(mask or ()),
     )  # fmt: skip
-    how = How(method, k, n, turns is not False, mirrors, kappa, moves, tolerance, paper, seed)
+    how = How(
+        method,
+        k,
+        n,
+        turns is not False,
+        mirrors,
+        kappa,
+        moves,
+        tolerance,
+        paper,
+        detail is not None,
+        seed,
+    )
     grid = grid_of(sweep, more or [], how, labels, patch_map, curve)
     if curve is not None:
         check_plot()

@@ -197,6 +197,7 @@ class How:
     moves: int | None
     tolerance: float | None
     paper: bool
+    detail: bool
     seed: int
 
     def run(self, problem: "Analogy", watch: "Callable[[Any], None]") -> Finished:
@@ -217,6 +218,12 @@ class How:
         made = rivals.guided(problem, seed=self.seed, on_step=watch)
         return Finished(made, made.energies)
 
+    def limit(self, k: float) -> float | None:
+        """The tolerance; that of the paper for detail, which is sharper if moves end sooner."""
+        if self.tolerance is None and self.detail:
+            return 5 * (k + 2)
+        return self.tolerance
+
     def _lowered(self, problem: "Analogy", watch: "Callable[[Any], None]") -> Finished:
         from torchtex.recipes import cms, rivals
 
@@ -224,7 +231,7 @@ class How:
         made: cms.CmsResult
         if self.method == "cms":
             made = cms.cms(
-                problem, K=k, N=n, tolerance=self.tolerance, screened=not self.paper,
+                problem, K=k, N=n, tolerance=self.limit(k), screened=not self.paper,
                 turns=self.turns, mirrors=self.mirrors, seed=self.seed, on_step=watch,
             )  # fmt: skip
         else:

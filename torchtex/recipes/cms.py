@@ -112,9 +112,9 @@ def cms(
     E' never rises. A large K asks for the constraint, a small one for fewer seams; a large N for
     large structures, a small one for curves and details. What suited photographs of about
     300 pixels a side: K = 0.05, N = 3 for maps of regions (texture-by-numbers), K = 0.5, N = 3 for
-    artistic filters, K = 6, N = 2 for texture transfer, and K = 20, N = 2 for detail, there with
-    `detail.back_projected` afterwards. In a scene that has an up and a down, `turns=False`
-    looks better, and is quicker. A lower tolerance goes on for longer.
+    artistic filters, K = 6, N = 2 for texture transfer, and K = 20, N = 2 with the paper's
+    tolerance for detail, and `detail.back_projected` afterwards. In a scene that has an up and a
+    down, `turns=False` looks better, and is quicker. A lower tolerance goes on for longer.
 
     Args:
         K: weight of the constraint.
