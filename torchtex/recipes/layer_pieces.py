@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchtex.layers.deform import Deformation, composed, warped
+from torchtex.layers.deform import Deformation, warped
 from torchtex.layers.plans import Operation
 from torchtex.layers.segment import Segmentation
 from torchtex.layers.stitch import Part
@@ -130,10 +130,12 @@ def part_of(
     """
     rows, cols = piece.box
     middle = ((rows.start + rows.stop - 1) / 2, (cols.start + cols.stop - 1) / 2)
-    place = (middle[0] + piece.shift[0], middle[1] + piece.shift[1])
-    side = min(z.shape[1:])
-    steps = [deformation(one, side, place, size) for one in operations if not piece.still]
-    matrix = composed(steps, middle)
+    place, matrix = list(middle), torch.eye(3, dtype=torch.float64)
+    for one in () if piece.still else operations:  # each about where the piece is by then
+        there = (place[0] + piece.shift[0], place[1] + piece.shift[1])
+        step = deformation(one, min(z.shape[1:]), there, size)
+        matrix = step.matrix((place[0], place[1])) @ matrix
+        place = [place[0] + step.translate[0], place[1] + step.translate[1]]
     corners = torch.tensor(
         [[r, c, 1.0] for r in (rows.start, rows.stop - 1) for c in (cols.start, cols.stop - 1)],
         dtype=torch.float64,

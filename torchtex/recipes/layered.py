@@ -117,14 +117,14 @@ def layered(
         pieces = pieces_of(zs, segmentations, size, children, generator)
         order = sorted(range(len(pieces)), key=lambda n: -pieces[n].area)
         used = (chaos or Chaos()).plan(len(pieces), seed) if plan is None else plan
-        made = _stitched(zs, pieces, used, order, size, band, solver, None)
-        gone = None if len(zs) > 1 else _vanished(pieces, order, made.owner)
-        if gone is not None:  # too small for seams to be cut in it
+        made = _stitched(zs, pieces, used, order, size, band, solver, set())
+        gone = set() if len(zs) > 1 else _vanished(pieces, order, made.owner)
+        if gone:  # too small for seams to be cut in it
             made = _stitched(zs, pieces, used, order, size, band, solver, gone)
             gone = _vanished(pieces, order, made.owner)
-        if gone is not None:
+        if gone:
             raise ValueError(
-                f"layer {gone + 1} vanished: its pieces are covered or lie outside after "
+                f"layer {min(gone) + 1} vanished: its pieces are covered or lie outside after "
                 "deformation; lower the ranges, change the plan or take fewer layers"
             )
         if on_step is not None:
@@ -152,9 +152,9 @@ def _stitched(
     size: tuple[int, int],
     band: int,
     solver: MinCut,
-    whole: int | None,
+    whole: set[int],
 ) -> Stitched:
-    """All pieces laid down, those of a layer whole."""
+    """All pieces laid down, those of some layers whole."""
     if len(plan.layers) != len(pieces):
         raise ValueError(
             f"plan has {len(plan.layers)} lists of operations for {len(pieces)} pieces; give one "
@@ -162,7 +162,7 @@ def _stitched(
         )
     parts = [part_of(zs[pieces[n].exemplar], pieces[n], plan.layers[n], size) for n in order]
     parts = [
-        replace(part, whole=pieces[n].layer == whole) for n, part in zip(order, parts, strict=True)
+        replace(part, whole=pieces[n].layer in whole) for n, part in zip(order, parts, strict=True)
     ]
     return stitch(parts, size, band=band, solver=solver)
 
@@ -232,7 +232,7 @@ def _check(zs: Sequence[Tensor], segmentations: Sequence[Segmentation]) -> None:
             raise ValueError("segmentation has one layer only; at least two are needed")
 
 
-def _vanished(pieces: Sequence[Piece], order: Sequence[int], owner: Tensor) -> int | None:
-    """A layer that is seen nowhere, if there is one."""
+def _vanished(pieces: Sequence[Piece], order: Sequence[int], owner: Tensor) -> set[int]:
+    """The layers that are seen nowhere."""
     shown = {pieces[order[n]].layer for n in owner.unique().tolist() if n >= 0}
-    return min({piece.layer for piece in pieces} - shown, default=None)
+    return {piece.layer for piece in pieces} - shown
