@@ -55,6 +55,7 @@ def test_mix_follows_the_map_and_can_be_repeated(run: Run, here: Path) -> None:
         ("missing.png", "fill photo.png --mask missing.png"),
         ("offsets=0", "fill photo.png --mask hole.png --offsets 0"),
         ("border=-1", "fill photo.png --mask hole.png --border=-1"),
+        ("detail=-1", "fill photo.png --mask hole.png --detail=-1"),
         ("seed=-1", "fill photo.png --mask hole.png --seed=-1"),
         ("give at least two", "mix photo.png --weights ramp.png"),
         ("2 maps given for 3", "mix photo.png other.png grey.png --weights all.png "

@@ -26,6 +26,19 @@ def holes(kind: str, size: tuple[int, int] = (40, 44)) -> Tensor:
     return mask
 
 
+def test_less_of_a_hole_is_filled_from_what_is_flatter_than_its_surroundings() -> None:
+    image = noise(1, 48, 64)
+    image[:, :, 44:] = 0.5  # seams cost nothing here
+    mask = torch.zeros(48, 64, dtype=torch.bool)
+    mask[14:34, 12:32] = True
+    shares = [
+        float((fill(image, mask, detail=detail, schedule=SCHEDULE).source_map[mask][:, 2] >= 44)
+              .double().mean())
+        for detail in (0.0, 1.0)
+    ]  # fmt: skip
+    assert shares[1] < 0.6 * shares[0]
+
+
 @pytest.mark.parametrize("kind", ["square", "corner", "speckled", "two"])
 @pytest.mark.parametrize("channels", [1, 3, 4])
 def test_known_pixels_stay_and_new_ones_are_copies_of_known_ones(kind: str, channels: int) -> None:
@@ -97,6 +110,7 @@ def test_progress_rises_and_can_cancel() -> None:
         ({"mask": torch.arange(44).expand(40, 44) % 7 == 0}, "no whole window of 8x8"),
         ({"confidence": -1.0}, "confidence=-1.0"),
         ({"border": float("nan")}, "border=nan"),
+        ({"detail": -0.5}, "detail=-0.5"),
         ({"offsets": 0}, "offsets=0"),
         ({"reach": 0}, "reach=0"),
         ({"seed": -1}, "seed=-1"),

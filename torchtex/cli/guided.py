@@ -55,6 +55,9 @@ def fill(
     border: Annotated[
         float, typer.Option(help="Cost of a seam at the border of a hole, against 1 inside.")
     ] = 10.0,
+    detail: Annotated[
+        float, typer.Option(help="Cost of pixels from where the picture is flatter than around.")
+    ] = 0.05,
     reach: Annotated[int, typer.Option(help="Pixels around a hole that are searched.")] = 256,
     plain: Plain = False,
     solver: Solver = None,
@@ -86,6 +89,7 @@ def fill(
             confidence=confidence,
             offsets=offsets,
             border=border,
+            detail=detail,
             reach=reach,
             poisson=not plain,
             solver=chosen,

@@ -12,12 +12,12 @@ after Pritch et al. 2009, frequent offsets as its labels after He and Sun 2012; 
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
 from torchtex.controls import SoftConstraint
@@ -42,6 +42,7 @@ from torchtex.synthesize import synthesize
 Box = tuple[slice, slice]
 
 _SWEEPS = 3
+_NEAR = 6  # pixels around one that say how flat an image is there
 _UNSEEN = 2.0  # cost of a seam where neither side has a known pixel to compare
 
 
@@ -54,6 +55,7 @@ def fill(
     confidence: float = 10.0,
     offsets: int = 64,
     border: float = 10.0,
+    detail: float = 0.05,
     poisson: bool = True,
     reach: int = 256,
     schedule: Sequence[Level] | None = None,
@@ -76,6 +78,8 @@ def fill(
         confidence: of the known pixels against the texture energy.
         offsets: how many are offered, half of them from the rim of the hole.
         border: cost of a seam at the border of a hole, against 1 for one inside.
+        detail: cost of a pixel from where the image is flatter than around the hole, which seams
+            alone would prefer; in proportion to how much flatter.
         poisson: even out the levels along the seams.
         reach: pixels around a hole that are searched for its texture.
         solver: of the min-cuts; the first one that is installed unless given.
@@ -96,7 +100,14 @@ def fill(
         True
     """
     began = time.perf_counter()
-    _check(image, mask, confidence, border, offsets, reach, seed)
+    _check(
+        image,
+        mask,
+        {"confidence": confidence, "border": border, "detail": detail},
+        offsets,
+        reach,
+        seed,
+    )
     levels = tuple(default_schedule() if schedule is None else schedule)
     least = min(level.size for level in levels)
     if not len(label_space([(mask.shape[0], mask.shape[1])], least, [~mask])):
@@ -140,7 +151,9 @@ def fill(
         proposed[_shifted(near, -wide[0].start, -wide[1].start)] = result.source_map[..., 1:]
         proposed[part.known] = pixel_places(part.known.shape, mask.device)[part.known]
         offered = part.offered(proposed, offsets)
-        places = part.cut(proposed, offered, border, solver, watch.cut(_SWEEPS * len(offered)))
+        places = part.cut(
+            proposed, offered, border, detail, solver, watch.cut(_SWEEPS * len(offered))
+        )
         filled = part.pixels(places, poisson=poisson)
         whole[:, wide[0], wide[1]] = torch.where(part.target, filled, part.image)
         corner = torch.tensor([wide[0].start, wide[1].start], device=places.device)
@@ -150,7 +163,7 @@ def fill(
         patches[wide][part.target] = which + int(patches.max()) + 1
     settings = {
         "recipe": "fill", "pixels": sum(areas), "holes": len(boxes), "feature": repr(feature),
-        "r": r, "confidence": confidence, "offsets": offsets, "border": border,
+        "r": r, "confidence": confidence, "offsets": offsets, "border": border, "detail": detail,
         "poisson": poisson, "reach": reach,
         "schedule": [[level.scale, level.size, level.steps] for level in levels],
     }  # fmt: skip
@@ -230,6 +243,7 @@ class _Part:
         proposed: Int[Tensor, "h w 2"],
         offered: Int[Tensor, "k 2"],
         border: float,
+        detail: float,
         solver: MinCut,
         on_step: Callable[[Move], None] | None,
     ) -> Int[Tensor, "h w 2"]:
@@ -247,9 +261,11 @@ class _Part:
             label = torch.where(exists, _flat(place, w), begin)
             rows.append(torch.where(usable[label], label, begin))
 
+        flat = detail * self.flatness().flatten()
+
         def unary(labels: Tensor) -> Tensor:
             barred = torch.where(fixed, labels != own, ~usable[labels])
-            return self.image.new_zeros(len(labels)).masked_fill(barred, torch.inf)
+            return torch.where(fixed, 0, flat[labels]).masked_fill(barred, torch.inf)
 
         number = torch.full((h, w), -1, device=here.device)
         number[nodes] = torch.arange(len(here), device=here.device)
@@ -277,6 +293,25 @@ class _Part:
         places = pixel_places(self.known.shape, here.device)
         places[nodes] = torch.stack([labels // w, labels % w], 1)
         return places
+
+    def flatness(self) -> Float[Tensor, "h w"]:
+        """How much less than around the hole an image changes from pixel to pixel, 0 to 1."""
+        steps, counts = torch.zeros_like(self.image[0]), torch.zeros_like(self.image[0])
+        for axis in (0, 1):
+            one, other = _ends(self.known, axis)
+            both = (one & other).to(self.image)
+            step = self.image.diff(dim=axis + 1).square().sum(0).sqrt() * both
+            steps.narrow(axis, 0, step.shape[axis]).add_(step)
+            counts.narrow(axis, 0, step.shape[axis]).add_(both)
+        wide = 2 * _NEAR + 1
+        local, count = (
+            F.avg_pool2d(x[None, None], wide, 1, _NEAR, count_include_pad=True)[0, 0]
+            for x in (steps, counts)
+        )
+        local = local / count.clamp(min=1e-6)
+        rim = self.known & (F.max_pool2d(self.target[None].to(local), 2 * wide + 1, 1, wide)[0] > 0)
+        usual = local[rim if bool(rim.any()) else self.known].mean()
+        return (1 - local / usual.clamp(min=1e-6)).clamp(0, 1)
 
     def pixels(
         self, places: Int[Tensor, "h w 2"], *, poisson: bool = False
@@ -331,7 +366,7 @@ def _flat(places: Int[Tensor, "*n 2"], width: int) -> Int[Tensor, "*n"]:
     return places[..., 0] * width + places[..., 1]
 
 
-def _ends(x: Int[Tensor, "h w"], axis: int) -> tuple[Tensor, Tensor]:
+def _ends(x: Shaped[Tensor, "h w"], axis: int) -> tuple[Tensor, Tensor]:
     """The two ends of all edges along an axis."""
     n = x.shape[axis]
     return x.narrow(axis, 0, n - 1), x.narrow(axis, 1, n - 1)
@@ -425,9 +460,8 @@ class _Watch:
 
 
 def _check(
-    image: Tensor, mask: Tensor, confidence: float, border: float, offsets: int, reach: int,
-    seed: int,
-) -> None:  # fmt: skip
+    image: Tensor, mask: Tensor, costs: Mapping[str, float], offsets: int, reach: int, seed: int
+) -> None:
     if mask.shape != image.shape[1:]:
         raise ValueError(
             f"mask is {mask.shape[0]}x{mask.shape[1]} and image {image.shape[1]}x"
@@ -440,8 +474,8 @@ def _check(
         )
     check_exemplars([torch.where(mask, 0, image)])
     check_seed(seed)
-    check_not_negative("confidence", confidence)
-    check_not_negative("border", border)
+    for name, cost in costs.items():
+        check_not_negative(name, cost)
     for name, value in (("offsets", offsets), ("reach", reach)):
         if value < 1:
             raise ValueError(f"{name}={value} must be at least 1")
