@@ -131,13 +131,15 @@ FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}
 
 PUBLIC = {
     "Analogy", "Auto", "Blocks", "Checkpoint", "Chunked", "ClosedForm", "Clustered", "Descend",
-    "Exact", "Gradients", "Grid", "Guide", "HalfStep", "LabelField", "Level", "Montage",
-    "Motion", "Objective", "Pixels", "Progress", "RandomNeighborhoods", "Result", "Search",
-    "SoftConstraint", "SourceField", "Stack", "Stage", "Stroke", "TextureEnergy",
-    "TextureModel", "WangSet", "Wavelets", "animate", "blend", "brush", "cms", "cyclic",
-    "data", "default_schedule", "edit", "em", "exact_search", "fast_search", "fill",
-    "graphcut", "image", "image_analogies", "metrics", "mix", "parse_flow", "patchwise",
-    "quilt", "synthesize", "texture_model", "transfer", "wang_tiles", "wavelets",
+    "Exact", "Gradients", "Grid", "Guide", "HalfStep", "LabelField", "Level", "Montage", "Motion",
+    "Objective", "Pixels", "Progress", "RandomNeighborhoods", "Result", "Search",
+    "SoftConstraint", "SourceField", "Stack", "Stage", "Stroke", "TextureEnergy", "TextureModel",
+    "WangSet", "Wavelets", "animate", "blend", "brush", "carve", "cms", "complete", "cyclic",
+    "data", "default_schedule", "deform", "density", "design", "designs", "edit", "em",
+    "exact_search", "fast_search", "fill", "graphcut", "image", "image_analogies", "load_volume",
+    "marble", "mesh_picture", "metrics", "mix", "normal_map", "parse_flow", "patchwise", "quilt",
+    "save_volume", "segment", "skeletal_solid", "skeleton", "solid", "synthesize",
+    "texture_model", "texture_picture", "transfer", "volume_picture", "wang_tiles", "wavelets",
 }  # fmt: skip
 
 

@@ -17,6 +17,9 @@ from .features import Stack as Stack
 from .features import Wavelets as Wavelets
 from .flow.words import parse_flow as parse_flow
 from .labels import LabelField as LabelField
+from .layers.deform import deform as deform
+from .layers.marbling import marble as marble
+from .layers.segment import segment as segment
 from .matching import Chunked as Chunked
 from .matching import Clustered as Clustered
 from .matching import Exact as Exact
@@ -31,7 +34,11 @@ from .recipes.animate import Motion as Motion
 from .recipes.animate import animate as animate
 from .recipes.blend import blend as blend
 from .recipes.cms import cms as cms
+from .recipes.completion import complete as complete
 from .recipes.cyclic import cyclic as cyclic
+from .recipes.density import density as density
+from .recipes.design import design as design
+from .recipes.design import designs as designs
 from .recipes.fill import fill as fill
 from .recipes.graphcut import graphcut as graphcut
 from .recipes.image_analogies import image_analogies as image_analogies
@@ -42,10 +49,17 @@ from .recipes.montage import Stage as Stage
 from .recipes.patchwise import patchwise as patchwise
 from .recipes.quilting import quilt as quilt
 from .recipes.quilting import transfer as transfer
+from .recipes.skeletal_solid import skeletal_solid as skeletal_solid
+from .recipes.skeleton import skeleton as skeleton
+from .recipes.solid import solid as solid
 from .recipes.strokes import Stroke as Stroke
 from .recipes.strokes import brush as brush
 from .recipes.wang import WangSet as WangSet
 from .recipes.wang import wang_tiles as wang_tiles
+from .render.pictures import mesh_picture as mesh_picture
+from .render.pictures import texture_picture as texture_picture
+from .render.pictures import volume_picture as volume_picture
+from .render.scene import normal_map as normal_map
 from .result import Checkpoint as Checkpoint
 from .result import Progress as Progress
 from .result import Result as Result
@@ -55,5 +69,8 @@ from .sources import SourceField as SourceField
 from .starts import Blocks as Blocks
 from .starts import RandomNeighborhoods as RandomNeighborhoods
 from .synthesize import synthesize as synthesize
+from .volumes.carve import carve as carve
+from .volumes.files import load_volume as load_volume
+from .volumes.files import save_volume as save_volume
 
 __version__: str

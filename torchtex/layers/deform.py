@@ -35,7 +35,7 @@ class Deformation:
         ValueError: a scale outside 0.1..10, or a number that is not finite.
 
     Example:
-        >>> Deformation(rotate=90).matrix((0.0, 0.0)).round().int().tolist()
+        >>> Deformation(rotate=90.0).matrix((0.0, 0.0)).round().int().tolist()
         [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
     """
 
@@ -171,7 +171,7 @@ def deform(
 
     Example:
         >>> z = torch.rand(3, 8, 8)
-        >>> turned = deform(z, Deformation(rotate=90))
+        >>> turned = deform(z, Deformation(rotate=90.0))
         >>> torch.equal(turned.texture, z.rot90(1, (1, 2))), bool(turned.mask.all())
         (True, True)
     """

@@ -41,7 +41,7 @@ class Ranges:
         ValueError: an empty range, or a scale outside 0.1..10.
 
     Example:
-        >>> Ranges(rotate=(0, 30)).scale
+        >>> Ranges(rotate=(0.0, 30.0)).scale
         (0.8, 1.2)
     """
 
