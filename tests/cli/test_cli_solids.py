@@ -46,6 +46,17 @@ def test_volumes_are_written(run: Run, here: Path, name: str) -> None:
     assert torch.equal(load_volume("again.npy"), volume)
 
 
+@pytest.mark.parametrize("source", ["r.json", "cut.png"])
+def test_a_solid_is_made_again_from_its_report_or_its_slices(
+    run: Run, here: Path, source: str
+) -> None:
+    assert run(*LINE, "-o", "v.npy", "--slices", "cut.png", "--report", "r.json").code == 0
+    done = run("repeat", source, "-o", "again.npy", "--quiet")
+    assert done.code == 0, done
+    assert Path("again.npy").read_bytes() == Path("v.npy").read_bytes()
+    assert run("repeat", "r.json", "-o", "again.png", "--quiet").code == 2
+
+
 def test_skeletal_axes_and_maps(run: Run, here: Path) -> None:
     line = ("solid", "z.png", "none", "grey.png", "--size", "16x16x16", "-o", "v.npy", "--quiet")
     assert run(*line, "--method", "skeletal", "--bits", 16).code == 0

@@ -1,4 +1,4 @@
-"""`torchtex repeat`: makes a picture again from the options it holds."""
+"""`torchtex repeat`: makes again what was made, from the options that it or its report holds."""
 
 import json
 import sys
@@ -13,6 +13,9 @@ from torchtex.cli.files import check_output, exemplar_path, sha256
 from torchtex.cli.options import KeepPartial, Labels, Output, Quiet, Report, Threads
 from torchtex.cli.recipe import command_line
 from torchtex.cli.synth import Recipe, run
+
+NO_PICTURES = ("animate", "solid")
+"""Commands that write films, folders or volumes, and check the names themselves."""
 
 
 @app.command()
@@ -122,7 +125,7 @@ def _run_again(
     source: Path,
 ) -> None:
     name, *rest = line
-    if name != "animate":  # which writes films and folders, and checks them itself
+    if name not in NO_PICTURES:
         check_output(output, [source])
     extra = [f"--output={output}"]
     extra += [f"--labels={labels}"] if labels is not None else []
