@@ -1,7 +1,7 @@
 """The result of a synthesis, and what it keeps on the way."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -52,6 +52,25 @@ class Progress:
     def texture(self) -> Float[Tensor, "c h w"]:
         """A preview."""
         return self.half.texture
+
+
+def at_full_size(
+    on_step: Callable[[Progress], None] | None, size: tuple[int, int]
+) -> Callable[[Progress], None] | None:
+    """The same callback, given previews of the texture's own size at coarse levels too.
+
+    Example:
+        >>> at_full_size(None, (32, 32)) is None
+        True
+    """
+    if on_step is None:
+        return None
+
+    def told(progress: Progress) -> None:
+        whole = images.resize(progress.half.texture, size)
+        on_step(replace(progress, half=replace(progress.half, texture=whole)))
+
+    return told
 
 
 @dataclass(frozen=True)

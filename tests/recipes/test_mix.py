@@ -103,3 +103,14 @@ def test_bad_options() -> None:
         oriented(pair(), torch.zeros(8, 8), sigma=0.0)
     with pytest.raises(ValueError, match="reach=0"):
         shaped([], torch.ones(8, 8, dtype=torch.bool), reach=0)
+
+
+def test_previews_have_the_size_of_the_texture() -> None:
+    shapes = set()
+    ramp = torch.linspace(0, 1, 40).expand(1, 40, 40)
+    mix(
+        [stripes(32, 32), noise(3, 32, 32)],
+        ramp,
+        on_step=lambda p: shapes.add(p.half.texture.shape),
+    )
+    assert shapes == {(3, 40, 40)}

@@ -19,7 +19,7 @@ from torchtex.features import Feature
 from torchtex.image import check_image, luminance
 from torchtex.inputs import check_not_negative, check_seed, usable_exemplars
 from torchtex.model import Search
-from torchtex.result import Progress, Result
+from torchtex.result import Progress, Result, at_full_size
 from torchtex.schedule import Level
 from torchtex.synthesize import synthesize
 
@@ -70,9 +70,10 @@ def mix(
     zs, keep = usable_exemplars(exemplars, masks)
     generator = torch.Generator().manual_seed(seed)
     guide = mixing(zs, weights, weight=weight, grain=grain, generator=generator)
+    size = (weights.shape[1], weights.shape[2])
     return synthesize(
         zs,
-        (weights.shape[1], weights.shape[2]),
+        size,
         masks=keep,
         feature=feature,
         r=r,
@@ -82,7 +83,7 @@ def mix(
         search=search,
         guides=[guide],
         seed=seed,
-        on_step=on_step,
+        on_step=at_full_size(on_step, size),
     )
 
 

@@ -7,7 +7,6 @@ makes of it a labeling, whose energies can be compared.
 import math
 import time
 from collections.abc import Callable
-from dataclasses import replace
 
 import torch
 from jaxtyping import Int
@@ -15,7 +14,6 @@ from torch import Tensor
 
 from torchtex.controls import Guide
 from torchtex.cuts.mincut import MinCut, default_solver
-from torchtex.image import resize
 from torchtex.inputs import check_seed
 from torchtex.quadratic import threads
 from torchtex.recipes.analogy import Analogy
@@ -26,7 +24,7 @@ from torchtex.recipes.correspondence import Correspondence
 from torchtex.recipes.labelings import Labeling, placed, source_field, variants
 from torchtex.recipes.montage import Montage, Stage
 from torchtex.recipes.quilting import transfer
-from torchtex.result import Progress, Result
+from torchtex.result import Progress, Result, at_full_size
 from torchtex.synthesize import synthesize
 
 _GLANCE = 10  # moves between looks at the clock, and reports
@@ -188,18 +186,13 @@ def guided(
     """
     guides = [problem.guides(j) for j in range(len(problem.sources))]
 
-    def tell(progress: Progress) -> None:
-        assert on_step is not None
-        whole = resize(progress.texture, problem.size)  # coarse levels are smaller
-        on_step(replace(progress, half=replace(progress.half, texture=whole)))
-
     return synthesize(
         list(problem.sources),
         problem.size,
         r=r,
         guides=[Guide(guides, problem.guide(), weight)],
         seed=seed,
-        on_step=None if on_step is None else tell,
+        on_step=at_full_size(on_step, problem.size),
     )
 
 
