@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchtex.bands import BandField
 from torchtex.image import atomic_write
 from torchtex.model import LabelSpace, strips
 from torchtex.neighborhoods import Grid, falloff
@@ -161,4 +162,6 @@ def load_field(path: str | Path) -> LabelField | SourceField:
             kinds = set(file.files)
     except UNREADABLE as error:
         raise unreadable(path, error) from None
+    if "places" in kinds:
+        return BandField.load(path)
     return SourceField.load(path) if "sources" in kinds else LabelField.load(path)

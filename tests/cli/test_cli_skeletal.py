@@ -151,3 +151,12 @@ def test_without_a_solver_it_says_what_to_install(
     monkeypatch.setitem(sys.modules, "ortools.graph.python.max_flow", None)
     refused(run, here, "torchtex[graphcut]", "skeleton", "z.png", *SIZE)
     assert run("skeleton", "z.png", *SIZE, "--cut", "none").code == 0
+
+
+def test_maps_of_longer_wavelets_blend_across_seams_as_the_texture_does(
+    run: Run, here: Path
+) -> None:
+    line = ("skeleton", "z.png", "--size", "40x48", "--wavelet", "db2", "--quiet")
+    assert run(*line, "-o", "x.png", "--labels", "x.npz").code == 0
+    assert run("apply", "x.npz", "z.png", "-o", "y.png").code == 0
+    assert torch.equal(pixels("x.png"), pixels("y.png"))
