@@ -90,6 +90,19 @@ def boundary_of(name: str) -> 'Literal["free", "periodic"]':
     return "periodic" if name == "periodic" else "free"
 
 
+FEATURES = ("pixels", "gradients", "haar", "db2", "db3", "db4", "db5", "db6", "db7", "db8")
+"""Names of `feature_of`."""
+
+
+def feature_of(name: str) -> Any:
+    """The feature of that name, which is one of `FEATURES`."""
+    from torchtex.features import Gradients, Pixels, Wavelets
+
+    if name == "pixels":
+        return Pixels()
+    return Gradients() if name == "gradients" else Wavelets(name)
+
+
 def check_output(
     output: Path, read: Iterable[Path], name: str = "output", suffixes: Sequence[str] | None = None
 ) -> None:

@@ -7,8 +7,10 @@ import typer
 
 from torchtex.cli.base import Watch, app
 from torchtex.cli.files import (
+    FEATURES,
     boundary_of,
     choose,
+    feature_of,
     load_exemplars,
     parse_size,
     read_files,
@@ -32,7 +34,6 @@ from torchtex.cli.options import (
     Threads,
 )
 from torchtex.cli.recipe import Outputs, carry_out, patch_pictures
-from torchtex.cli.synth import FEATURES, _feature
 
 if TYPE_CHECKING:
     from typing import Any
@@ -105,7 +106,7 @@ def skeleton(
             phases=phases,
             cut="none" if cut == "none" else "mincut",
             solver=chosen,
-            feature=_feature(feature),
+            feature=feature_of(feature),
             boundary=edge,
             masks=masks,
             seed=seed,

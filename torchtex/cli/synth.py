@@ -9,12 +9,14 @@ import typer
 
 from torchtex.cli.base import Interrupts, app, progress_bar
 from torchtex.cli.files import (
+    FEATURES,
     boundary_of,
     check_masks,
     choose,
     device_of,
     exemplar_path,
     extent_of,
+    feature_of,
     fitting,
     load_exemplars,
     parse_size,
@@ -41,7 +43,6 @@ from torchtex.cli.recipe import Outputs
 if TYPE_CHECKING:
     import torch
 
-FEATURES = ("pixels", "gradients", "haar", "db2", "db3", "db4", "db5", "db6", "db7", "db8")
 STARTS = ("blocks", "neighborhoods")
 BOUNDARIES = ("free", "periodic")
 MATCHES = ("fast", "exact")
@@ -265,7 +266,7 @@ def run(
                 inputs.exemplars,
                 recipe.height_width,
                 masks=inputs.masks,
-                feature=_feature(recipe.feature),
+                feature=feature_of(recipe.feature),
                 r=recipe.r,
                 completeness=recipe.completeness,
                 start=Blocks() if recipe.start == "blocks" else RandomNeighborhoods(),
@@ -327,14 +328,6 @@ def _load(recipe: Recipe, device: "torch.device") -> _Inputs:
         pull = SoftConstraint(target.to(device), recipe.confidence * held.to(target).to(device))
         inputs.controls.append((1.0, pull))
     return inputs
-
-
-def _feature(name: str) -> Any:
-    from torchtex.features import Gradients, Pixels, Wavelets
-
-    if name == "pixels":
-        return Pixels()
-    return Gradients() if name == "gradients" else Wavelets(name)
 
 
 def _search(match: str, device: str) -> Any:
