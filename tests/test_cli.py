@@ -451,7 +451,7 @@ def test_what_is_not_imported(tmp_path: Path, code: str, absent: str) -> None:
 def test_ctrl_c_in_a_level(tmp_path: Path, keep: bool) -> None:
     options = ["--size", "256x240", "--schedule", "0.5:8:400,1:8:400", "--match", "exact"]
     process = python(
-        *("-m", "torchtex.cli", "synth", "gravel", "-o", "x.png", "--threads", "1"),
+        *("-m", "torchtex", "synth", "gravel", "-o", "x.png", "--threads", "1"),
         *(*options, *(["--keep-partial"] if keep else [])),
         cwd=tmp_path,
     )

@@ -1,4 +1,4 @@
-"""`python -m torchtex.cli`."""
+"""`python -m torchtex`, the command line."""
 
 from torchtex.cli import main
 
