@@ -13,6 +13,7 @@ from torch import Tensor
 
 from torchtex import image as images
 from torchtex.em import HalfStep
+from torchtex.extras import needed
 from torchtex.labels import LabelField, label_arrays, label_field
 from torchtex.schedule import Level
 from torchtex.sources import UNREADABLE
@@ -156,11 +157,9 @@ class Result:
         Raises:
             ImportError: matplotlib is missing.
         """
-        try:
-            from matplotlib.figure import Figure
-        except ImportError:
-            raise ImportError("result.plot() needs matplotlib; install torchtex[plot]") from None
-        figure = Figure(figsize=(2.2 * len(self.traces), 5), layout="constrained")
+        figure = needed("matplotlib.figure", "plot").Figure(
+            figsize=(2.2 * len(self.traces), 5), layout="constrained"
+        )
         grid = figure.add_gridspec(2, len(self.traces), height_ratios=(2, 1))
         curve, start = figure.add_subplot(grid[0, :]), 0
         for number, trace in enumerate(self.traces):

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchtex.extras import needed
 from torchtex.image import atomic_write, check_writable, save
 
 FILMS = (".mp4", ".webm", ".mov", ".mkv")
@@ -214,11 +215,5 @@ def _moving(path: Path, frames: Iterator[Tensor], rate: float) -> int:
 
 
 def _ffmpeg(name: str) -> Any:
-    try:
-        import imageio_ffmpeg
-    except ImportError:
-        raise ImportError(
-            f"{name}: films need imageio-ffmpeg; pip install 'torchtex[video]', or write a .gif, "
-            ".webp or .apng, or a folder of frames"
-        ) from None
-    return imageio_ffmpeg
+    instead = "write a .gif, .webp or .apng, or a folder of frames"
+    return needed("imageio_ffmpeg", name, otherwise=instead)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from torchtex.cuts import mincut
+from torchtex import extras
 from torchtex.cuts.mincut import (
     GridMinCut,
     MinCut,
@@ -170,7 +170,7 @@ def test_a_missing_package_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> N
     def missing(module: str) -> None:
         raise ImportError(module)
 
-    monkeypatch.setattr(mincut, "import_module", missing)
+    monkeypatch.setattr(extras, "import_module", missing)
     for kind in (PyMaxflow, OrTools):
         with pytest.raises(ImportError, match=r"torchtex\[graphcut\]"):
             kind()

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from torchtex.cli.analogy_jobs import Finished, How
+from torchtex.extras import needed
 
 if TYPE_CHECKING:
     import torch
@@ -146,7 +147,4 @@ def curve_picture(done: Finished) -> "torch.Tensor":
 
 def check_plot() -> None:
     """Refuses a curve where nothing can draw it."""
-    try:
-        import matplotlib.figure  # noqa: F401
-    except ImportError:
-        raise ImportError("curve needs matplotlib; install torchtex[plot]") from None
+    needed("matplotlib.figure", "curve")

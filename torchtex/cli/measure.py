@@ -2,7 +2,6 @@
 
 import json
 from importlib import metadata
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,14 +9,7 @@ import typer
 
 from torchtex.cli.base import app
 from torchtex.cli.files import exemplar_path, same_channels
-
-EXTRAS = {
-    "plot": ("matplotlib",),
-    "video": ("imageio_ffmpeg",),
-    "graphcut": ("maxflow", "ortools"),
-    "design": ("skimage", "sklearn", "yaml"),
-    "solid": ("trimesh", "zarr"),
-}
+from torchtex.extras import EXTRAS, installed
 
 
 @app.command()
@@ -89,10 +81,7 @@ def _info() -> dict[str, Any]:
         "devices": devices,
         "threads": torch.get_num_threads(),
         "faiss": options().strip(),
-        "extras": {
-            extra: "installed" if all(find_spec(module) for module in modules) else "missing"
-            for extra, modules in EXTRAS.items()
-        },
+        "extras": {extra: "installed" if installed(extra) else "missing" for extra in EXTRAS},
         "min-cut": {name: "installed" if there else "missing" for name, there in solvers().items()},
         "exemplars": list(data.names()),
     }

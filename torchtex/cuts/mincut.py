@@ -14,7 +14,6 @@ Apache-2.0: which one to install is your choice.
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -24,6 +23,7 @@ from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchtex.extras import needed
 from torchtex.quadratic import rowwise_sum
 
 GROUP = "torchtex.mincut"
@@ -72,7 +72,7 @@ class PyMaxflow:
     """
 
     def __post_init__(self) -> None:
-        _package("maxflow", "PyMaxflow")
+        needed("maxflow", "solver")
 
     def __call__(
         self,
@@ -99,7 +99,7 @@ class PyMaxflow:
         if problem.infinite:
             gain = gain.clip(-limit, limit)
             groups = [(tail, head, both.clip(None, limit)) for tail, head, both in groups]
-        graph = _package("maxflow", "PyMaxflow").GraphFloat(
+        graph = needed("maxflow", "solver").GraphFloat(
             len(gain), sum(len(tail) for tail, _, _ in groups)
         )
         nodes = graph.add_grid_nodes(gain.shape)
@@ -128,7 +128,7 @@ class OrTools:
     """
 
     def __post_init__(self) -> None:
-        _package("ortools.graph.python.max_flow", "OR-Tools")
+        needed("ortools.graph.python.max_flow", "solver")
 
     def __call__(
         self,
@@ -148,7 +148,7 @@ class OrTools:
         heads = np.concatenate([ids[head], ids[tail], ids, none + 1, [1]])
         costs = np.concatenate([both[:, 0], both[:, 1], gain.clip(0), (-gain).clip(0), [0]])
         used = (tails != heads) & ((costs > 0) | (heads == 1))
-        flow = _package("ortools.graph.python.max_flow", "OR-Tools").SimpleMaxFlow()
+        flow = needed("ortools.graph.python.max_flow", "solver").SimpleMaxFlow()
         flow.add_arcs_with_capacity(
             tails[used].astype(np.int32),
             heads[used].astype(np.int32),
@@ -388,13 +388,6 @@ def _integers(costs: NDArray[np.float64], total: float) -> NDArray[np.int64]:
     whole = np.rint(share * (2.0**61 / (infinite.sum() + 1))).astype(np.int64)
     whole[infinite] = whole.sum() + 1
     return whole
-
-
-def _package(module: str, name: str) -> Any:
-    try:
-        return import_module(module)
-    except ImportError as error:
-        raise ImportError(f"{name} is not installed; pip install 'torchtex[graphcut]'") from error
 
 
 def _entries() -> Iterator[EntryPoint]:

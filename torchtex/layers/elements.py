@@ -21,6 +21,7 @@ from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchtex.extras import needed
 from torchtex.image import check_image
 from torchtex.quadratic import threads
 
@@ -137,7 +138,8 @@ def find_elements(
     if at is not None and not (0 <= at[0] < h and 0 <= at[1] < w):
         raise ValueError(f"at={at} lies outside of the picture of {h} x {w} pixels")
     smallest = max(9, h * w // 1000) if least is None else least
-    _needs()
+    needed("sklearn", "elements")
+    needed("skimage", "elements")
     if mask is not None:
         labels = _split(mask.cpu().numpy(), smallest)
         if not labels.max():
@@ -159,17 +161,6 @@ def find_elements(
             "give a mask of them"
         )
     return Elements(torch.from_numpy(found).long())
-
-
-def _needs() -> None:
-    try:
-        import skimage  # noqa: F401
-        import sklearn  # noqa: F401
-    except ImportError:
-        raise ImportError(
-            "elements are found with scikit-image and scikit-learn; "
-            "install the extra: pip install 'torchtex[design]'"
-        ) from None
 
 
 def _clusters(image: Tensor, colors: int, seed: int) -> NDArray[Any]:

@@ -9,8 +9,7 @@ Needs the extra `design` (scikit-image, scikit-learn).
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import import_module
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import torch
@@ -18,6 +17,7 @@ from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchtex.extras import needed
 from torchtex.image import check_image
 
 Method = Literal["meanshift", "graph"]
@@ -151,7 +151,7 @@ def _colours(image: Tensor, smooth: float) -> NDArray[np.float64]:
 
 def _shifted(colour: NDArray[np.float64], layers: int) -> NDArray[np.int64]:
     """The mode of colour that every pixel belongs to, by mean shift; at least `layers` of them."""
-    cluster = _needed("sklearn.cluster", "scikit-learn")
+    cluster = needed("sklearn.cluster", "layers")
     some = colour[:: max(1, len(colour) // _SAMPLED)]
     quantile = _QUANTILE
     for _ in range(6):
@@ -169,7 +169,7 @@ def _shifted(colour: NDArray[np.float64], layers: int) -> NDArray[np.int64]:
 
 def _graph(colour: NDArray[np.float64], size: tuple[int, int]) -> NDArray[np.int64]:
     """Regions whose borders are stronger than what is inside them."""
-    segmentation = _needed("skimage.segmentation", "scikit-image")
+    segmentation = needed("skimage.segmentation", "layers")
     if colour.shape[1] > 3:  # more than it takes: the axes that vary most
         centred = colour - colour.mean(0)
         colour = centred @ np.linalg.eigh(centred.T @ centred)[1][:, -3:]
@@ -200,7 +200,7 @@ def _clustered(
             f"layers={layers}: only {different} regions of different colours were found; choose "
             "fewer, or mark layers with scribbles"
         )
-    means = _needed("sklearn.cluster", "scikit-learn").KMeans(layers, n_init=4, random_state=0)
+    means = needed("sklearn.cluster", "layers").KMeans(layers, n_init=4, random_state=0)
     return means.fit(mean, sample_weight=area).labels_.astype(np.int64)
 
 
@@ -218,12 +218,12 @@ def _scribbled(
 
 def _absorbed(labels: NDArray[np.int64], least: int) -> NDArray[np.int64]:
     """Labels without pieces of fewer pixels: those take the label next to them."""
-    pieces = _needed("skimage.measure", "scikit-image").label(labels + 1, connectivity=1)
+    pieces = needed("skimage.measure", "layers").label(labels + 1, connectivity=1)
     area = np.bincount(pieces.ravel())
     small = area[pieces] < least
     if not small.any() or small.all():
         return labels
-    expand = _needed("skimage.segmentation", "scikit-image").expand_labels
+    expand = needed("skimage.segmentation", "layers").expand_labels
     return expand(np.where(small, 0, labels + 1), distance=sum(labels.shape)) - 1
 
 
@@ -247,7 +247,7 @@ def _of_masks(masks: Sequence[Tensor], size: tuple[int, int]) -> NDArray[np.int6
 
 
 def _finished(labels: NDArray[np.int64], device: torch.device) -> Segmentation:
-    pieces = _needed("skimage.measure", "scikit-image").label(labels + 1, connectivity=1) - 1
+    pieces = needed("skimage.measure", "layers").label(labels + 1, connectivity=1) - 1
     made = (torch.from_numpy(x.astype(np.int64)).to(device) for x in (labels, pieces))
     return Segmentation(*made)
 
@@ -278,12 +278,3 @@ def _check(
         raise ValueError(
             f"scribbles name layers up to {int(named[-1])} and leave some out; number them 0, 1, 2"
         )
-
-
-def _needed(module: str, package: str) -> Any:
-    try:
-        return import_module(module)
-    except ImportError:
-        raise ImportError(
-            f"{package} is not installed; install the extra design: pip install 'torchtex[design]'"
-        ) from None

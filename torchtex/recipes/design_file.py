@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from torchtex.extras import needed
 from torchtex.image import read_bytes
 
 Settings = Mapping[str, Any]
@@ -138,12 +139,7 @@ def read_book(path: str | Path, exemplars: Mapping[str, Path] | None = None) -> 
 
 
 def _parsed(path: Path) -> Any:
-    try:
-        import yaml
-    except ImportError:
-        raise ImportError(
-            "PyYAML is not installed; install the extra design: pip install 'torchtex[design]'"
-        ) from None
+    yaml = needed("yaml", "recipe")
     try:
         text = read_bytes(path, name="recipe").decode()
         root = yaml.compose(text, Loader=yaml.SafeLoader)

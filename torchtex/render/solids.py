@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchtex.extras import needed
 from torchtex.render.shapes import Mesh
 
 MESH_SUFFIXES = (".obj", ".ply", ".glb", ".gltf", ".stl", ".off")
@@ -79,12 +80,7 @@ def load_mesh(path: str | Path, *, name: str = "mesh") -> Mesh:
         Path(path).open("rb").close()
     except OSError as error:
         raise ValueError(f"{where} cannot be read: {error.strerror or error}") from None
-    try:
-        import trimesh
-    except ImportError:
-        raise ImportError(
-            "meshes are read with trimesh; install the extra: pip install 'torchtex[solid]'"
-        ) from None
+    trimesh = needed("trimesh", name)
     try:
         found: Any = trimesh.load(str(path), force="mesh", process=False)
         vertices = torch.tensor(found.vertices).float().reshape(-1, 3)

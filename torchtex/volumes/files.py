@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchtex import image as images
+from torchtex.extras import needed
 from torchtex.volumes.formats import VTI_TAIL, nrrd_head, read_nrrd, read_vti, vti_head
 
 SUFFIXES = (".npy", ".nrrd", ".vti", ".zarr")
@@ -92,7 +93,7 @@ def check_volume_path(
         raise ValueError(f"{where} is a file; name a folder, or add an ending")
     images.check_writable(f"{os.path.realpath(target)}.new" if target.is_dir() else path, name=name)
     if suffix == ".zarr":
-        _zarr()
+        needed("zarr", name)
 
 
 def save_volume(
@@ -135,7 +136,7 @@ def save_volume(
     if suffix == ".zarr":
         with _whole_folder(path, name) as partial:
             chunks = (*(min(64, n) for n in values.shape[:3]), values.shape[3])
-            _zarr().open_array(
+            needed("zarr", name).open_array(
                 str(partial), mode="w", shape=values.shape, chunks=chunks, dtype=values.dtype
             )[...] = values
         return
@@ -204,16 +205,8 @@ def _read_npy(path: Path) -> NDArray[Any]:
     return values if last or values.ndim != 4 else values.transpose(1, 2, 3, 0)
 
 
-def _zarr() -> Any:
-    try:
-        import zarr
-    except ImportError:
-        raise ImportError("volumes in .zarr need zarr; install torchtex[solid]") from None
-    return zarr
-
-
 def _read_zarr(path: Path) -> NDArray[Any]:
-    zarr = _zarr()
+    zarr = needed("zarr", "volume")
     try:
         return np.asarray(zarr.open_array(str(path), mode="r")[...])
     except Exception as error:  # zarr has errors of its own, others in each version

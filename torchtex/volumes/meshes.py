@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchtex import image as images
+from torchtex.extras import needed
 
 READ = (".ply", ".obj", ".glb", ".gltf", ".stl", ".off")
 """Endings of meshes that are read."""
@@ -92,7 +93,7 @@ def read_mesh(path: str | Path, *, name: str = "mesh") -> Surface:
         raise ValueError(f"{where} must end in {', '.join(READ)}")
     if not Path(path).is_file():
         raise ValueError(f"{where}: there is no such file; check the name")
-    trimesh = _trimesh()
+    trimesh = needed("trimesh", name)
     try:
         return _joined(_parts(trimesh.load(str(path), process=False)))
     except Exception as error:  # the readers raise many types for damaged files
@@ -284,7 +285,7 @@ def save_mesh(
         ImportError: trimesh is not installed, of the extra `solid`.
     """
     check_mesh_path(path, baked=texture is not None, points=not len(surface.faces), name=name)
-    trimesh = _trimesh()
+    trimesh = needed("trimesh", name)
     suffix = Path(path).suffix.lower().lstrip(".")
     vertices = surface.vertices.double().numpy()
     made: Any
@@ -294,7 +295,7 @@ def save_mesh(
     else:
         baked = None
         if texture is not None and places is not None:
-            baked = _textured(trimesh, texture, places)
+            baked = _textured(texture, places)
         made = trimesh.Trimesh(
             vertices, surface.faces.numpy(), process=False, visual=baked, vertex_colors=shades,
             vertex_normals=surface.normals.double().numpy(),
@@ -334,29 +335,19 @@ def check_mesh_path(
     images.check_writable(path, suffixes=WRITTEN, name=name)
 
 
-def _textured(trimesh: Any, texture: Tensor, places: Tensor) -> Any:
+def _textured(texture: Tensor, places: Tensor) -> Any:
     from PIL import Image
 
     h, w = texture.shape[1:]
     buffer = BytesIO()  # as a file, so that it stays a PNG inside
     Image.fromarray(_bytes(texture.permute(1, 2, 0))).save(buffer, "PNG")
     uv = torch.stack([places[:, 1] / w, 1 - places[:, 0] / h], 1).double().numpy()
-    material = trimesh.visual.material.PBRMaterial(
+    visual = needed("trimesh.visual", "mesh")
+    material = visual.material.PBRMaterial(
         baseColorTexture=Image.open(buffer), metallicFactor=0.0, roughnessFactor=0.8
     )
-    return trimesh.visual.TextureVisuals(uv=uv, material=material)
+    return visual.TextureVisuals(uv=uv, material=material)
 
 
 def _bytes(values: Tensor) -> Any:
     return (values.clamp(0, 1) * 255).round().to(torch.uint8).numpy()
-
-
-def _trimesh() -> Any:
-    try:
-        import trimesh
-        import trimesh.visual.material
-    except ImportError:
-        raise ImportError(
-            "meshes need trimesh; install the extra: pip install 'torchtex[solid]'"
-        ) from None
-    return trimesh
