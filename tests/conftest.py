@@ -18,6 +18,7 @@ from torch import Tensor
 
 if TYPE_CHECKING:
     from torchtex.cuts.mincut import MinCut
+    from torchtex.meshes.mesh import Mesh
 
 
 @pytest.fixture(autouse=True)
@@ -51,6 +52,15 @@ def spots(side: int = 48, seed: int = 0) -> Tensor:
     ring = torch.exp(-((radius - 5) ** 2) / 3) - 0.7 * torch.exp(-(radius**2) / 4)
     grain = 0.06 * (noise(1, side, side, seed=seed) - 0.5)
     return (0.4 + 0.55 * ring[None] + grain).clamp(0, 1)
+
+
+def tetrahedron() -> "Mesh":
+    """A closed mesh of four triangles, with normals."""
+    from torchtex.meshes.mesh import Mesh
+
+    corners = torch.tensor([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+    faces = torch.tensor([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
+    return Mesh(corners, faces, normals=corners / 3**0.5)
 
 
 def corner(size: int, width: int) -> Tensor:

@@ -29,7 +29,15 @@ MODULES = sorted(
 
 # a module may import only those of rows above its own; "cli" stands for all modules of the package
 FLOORS = (
-    ("extras", "image", "wavelets", "neighborhoods", "quadratic", "volumes.formats"),
+    (
+        "extras",
+        "image",
+        "wavelets",
+        "neighborhoods",
+        "quadratic",
+        "volumes.formats",
+        "meshes.mesh",
+    ),
     (
         "data",
         "features",
@@ -43,9 +51,13 @@ FLOORS = (
         "layers.tines",
         "layers.segment",
         "volumes.files",
-        "volumes.meshes",
+        "meshes.atlas",
+        "meshes.cubes",
+        "meshes.formats",
+        "meshes.placing",
+        "meshes.subdivision",
+        "meshes.surfaces",
         "render.raster",
-        "render.shapes",
         "render.views",
     ),
     (
@@ -64,8 +76,9 @@ FLOORS = (
         "layers.plans",
         "volumes.slices",
         "volumes.histograms",
+        "meshes.files",
+        "meshes.shapes",
         "render.scene",
-        "render.solids",
     ),
     (
         "controls",
@@ -98,6 +111,9 @@ FLOORS = (
         "recipes.montage",
         "recipes.analogy_costs",
         "recipes.correspondence",
+        "recipes.hole_boxes",
+        "recipes.hole_cut",
+        "recipes.offsets",
         "recipes.strokes",
         "recipes.slice_models",
         "recipes.solid_places",
@@ -138,7 +154,8 @@ PUBLIC = {
     "data", "default_schedule", "deform", "density", "design", "designs", "edit", "em",
     "exact_search", "fast_search", "fill", "graphcut", "image", "image_analogies", "load_volume",
     "marble", "mesh_picture", "metrics", "mix", "normal_map", "parse_flow", "patchwise", "quilt",
-    "save_volume", "segment", "skeletal_solid", "skeleton", "solid", "synthesize",
+    "read_mesh", "save_mesh", "save_volume", "segment", "skeletal_solid", "skeleton", "solid",
+    "synthesize",
     "texture_model", "texture_picture", "transfer", "volume_picture", "wang_tiles", "wavelets",
 }  # fmt: skip
 

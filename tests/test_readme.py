@@ -45,7 +45,7 @@ def test_readme_runs(
         "atlas.png", "atlas.json", "wang.png", "cyclic.png", "cyclic_3x3.png", "moved.png",
         "blended.png", "hole.png", "filled.png", "turning.gif",
         "design.png", "map.png", "turned.png", "whole.png", "marbled.png", "denser.png", "vase.png",
-        "wood.nrrd", "quick.png", "torus.glb", "torus.png", "block.png",
+        "wood.nrrd", "quick.png", "ring.glb", "torus.glb", "torus.png", "block.png",
     }  # fmt: skip
 
 

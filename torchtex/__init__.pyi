@@ -23,6 +23,8 @@ from .layers.segment import segment as segment
 from .matching import Chunked as Chunked
 from .matching import Clustered as Clustered
 from .matching import Exact as Exact
+from .meshes.files import read_mesh as read_mesh
+from .meshes.files import save_mesh as save_mesh
 from .model import Search as Search
 from .model import TextureModel as TextureModel
 from .model import exact_search as exact_search

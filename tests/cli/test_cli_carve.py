@@ -9,8 +9,8 @@ import torch
 from conftest import Done, Run, refused
 
 from torchtex import image as images
+from torchtex.meshes.files import read_mesh
 from torchtex.volumes.files import save_volume
-from torchtex.volumes.meshes import read_mesh
 
 
 @pytest.fixture
@@ -51,7 +51,9 @@ def test_a_closed_mesh(run: Run, here: Path, volume: str, output: str) -> None:
     assert about["settings"]["watertight"] is True
 
 
-@pytest.mark.parametrize("mesh", ["sphere", "torus", "vase", "cube", "cloth"])
+@pytest.mark.parametrize(
+    "mesh", ["sphere", "torus", "vase", "cube", "cylinder", "cone", "bowl", "knot", "cloth"]
+)
 def test_built_in_meshes(run: Run, here: Path, mesh: str) -> None:
     done = run("carve", "v.npy", "--mesh", mesh, "-o", "x.glb", "--quiet", "--scale", "0.5")
     assert done == Done(0, "x.glb\n", "")
@@ -62,6 +64,17 @@ def test_a_baked_texture(run: Run, here: Path) -> None:
     assert run("carve", "v.npy", "--mesh", "closed.obj", "-o", "x.glb", "--bake", "64").code == 0
     assert len(read_mesh("x.glb").faces) == 4
     assert b"image/png" in Path("x.glb").read_bytes()
+
+
+def test_a_baked_texture_beside_an_obj(run: Run, here: Path) -> None:
+    line = ("carve", "v.npy", "--mesh", "closed.obj", "--bake", "64", "-o")
+    assert run(*line, "x.obj") == Done(0, "x.obj\n", "")
+    assert Path("x.mtl").exists()
+    texture = read_mesh("x.obj").texture
+    assert texture is not None
+    assert texture.shape == (3, 64, 64)
+    Path("y.mtl").mkdir()
+    refused(run, here, "output='y.mtl' is no ordinary file", *line, "y.obj")
 
 
 def test_what_is_not_watertight_is_told(run: Run, here: Path) -> None:

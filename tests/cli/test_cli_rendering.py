@@ -8,8 +8,8 @@ import torch
 from conftest import Done, Run, noise, pixels, refused
 
 from torchtex import image as images
+from torchtex.meshes.files import read_mesh
 from torchtex.render.pictures import mesh_picture, texture_picture, volume_picture
-from torchtex.render.solids import load_mesh
 from torchtex.render.views import Camera, Light
 
 SMALL = ("--size", "20x24", "--samples", 1, "--quiet")
@@ -59,7 +59,7 @@ def test_volumes_and_meshes_are_shown(run: Run, here: Path) -> None:
     wanted = volume_picture(volume, cut=0.4, **small)  # type: ignore[arg-type]
     assert torch.allclose(pixels("v.png"), wanted, atol=0.5 / 255 + 1e-6)
     assert run("render", "thing.obj", *SMALL, "-o", "m.png").code == 0
-    wanted = mesh_picture(load_mesh("thing.obj"), **small)  # type: ignore[arg-type]
+    wanted = mesh_picture(read_mesh("thing.obj"), **small)  # type: ignore[arg-type]
     assert torch.allclose(pixels("m.png"), wanted, atol=0.5 / 255 + 1e-6)
     line = ("render", "tile.png", "--object", "thing.obj", *SMALL)
     assert run(*line, "-o", "t.png").code == 0
@@ -71,7 +71,7 @@ def test_volumes_and_meshes_are_shown(run: Run, here: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "arguments"),
     [
-        ("object='cone' is unknown; choose sphere", ("tile.png", "--object", "cone")),
+        ("object='teapot' is unknown; choose sphere", ("tile.png", "--object", "teapot")),
         ("object='no.obj': there is no such file", ("tile.png", "--object", "no.obj")),
         ("source='no.obj'", ("no.obj",)),
         ("source='text.png'", ("text.png",)),

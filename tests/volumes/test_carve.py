@@ -1,28 +1,19 @@
 """Carving: trilinear, periodic samples; colours at vertices and in textures agree."""
 
 import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 from conftest import noise
 
-from torchtex.render.shapes import sphere
-from torchtex.render.solids import cube
+from torchtex.meshes.cubes import cube
+from torchtex.meshes.files import read_mesh, save_mesh
+from torchtex.meshes.mesh import Mesh
+from torchtex.meshes.shapes import sphere
+from torchtex.render.pictures import mesh_picture
 from torchtex.volumes.carve import carve, sample
-from torchtex.volumes.meshes import Surface, read_mesh
-
-
-def ball(rings: int = 8) -> Surface:
-    made = sphere(rings)
-    assert made.normals is not None
-    return Surface(made.vertices, made.faces, made.normals)
-
-
-def box() -> Surface:
-    made = cube()
-    assert made.normals is not None
-    return Surface(made.vertices, made.faces, made.normals)
 
 
 def test_samples_are_trilinear_and_periodic() -> None:
@@ -45,12 +36,12 @@ def test_axes_are_those_of_a_picture() -> None:
     volume[0, 0] = 1  # in front
     volume[1, :, 0] = 1  # above
     volume[2, :, :, 3] = 1  # to the right
-    made = carve(volume, box(), detail=0.5)
+    made = carve(volume, cube(), detail=0.5)
     assert made.colors is not None
-    half = box().vertices.amax()
-    inner = made.surface.vertices.abs().sort(1)[0][:, 1] < 0.4 * half  # inside of the faces
+    half = cube().vertices.amax()
+    inner = made.vertices.abs().sort(1)[0][:, 1] < 0.4 * half  # inside of the faces
     for channel, (axis, sign) in enumerate(((2, 1), (1, 1), (0, 1))):
-        at = made.surface.vertices[:, axis] * sign
+        at = made.vertices[:, axis] * sign
         near = made.colors[inner & (at > 0.99 * half), channel]
         far = made.colors[inner & (at.abs() < 0.2 * half), channel]
         assert near.numel()
@@ -59,23 +50,23 @@ def test_axes_are_those_of_a_picture() -> None:
 
 
 def test_a_flat_colour_stays_and_grey_becomes_rgb() -> None:
-    made = carve(torch.full((1, 4, 4, 4), 0.3), ball(), detail=2.0)
+    made = carve(torch.full((1, 4, 4, 4), 0.3), sphere(8), detail=2.0)
     assert made.colors is not None
-    assert made.colors.shape == (len(made.surface.vertices), 3)
+    assert made.colors.shape == (len(made.vertices), 3)
     assert torch.allclose(made.colors, torch.tensor(0.3))
 
 
 def test_triangles_are_as_small_as_voxels() -> None:
-    made = carve(torch.rand(3, 16, 16, 16), ball(), detail=1.0)
-    edges = made.surface.vertices[made.surface.faces]
+    made = carve(torch.rand(3, 16, 16, 16), sphere(8), detail=1.0)
+    edges = made.vertices[made.faces]
     longest = (edges - edges.roll(1, 1)).norm(dim=2).max()
     assert longest <= 2 / 16 * 1.01
-    assert made.surface.closed
+    assert made.closed
 
 
 def test_scale_and_shift_move_the_volume() -> None:
-    volume, points = noise(3, 8, 8, 8, dtype=torch.float32), ball()
-    points = Surface(points.vertices, points.faces[:0], points.normals)
+    volume = noise(3, 8, 8, 8, dtype=torch.float32)
+    points = replace(sphere(8), faces=sphere(8).faces[:0])
     plain = carve(volume, points).colors
     assert plain is not None
     moved = carve(volume.roll((1, 2, 3), (1, 2, 3)), points, shift=(1.0, 2.0, 3.0)).colors
@@ -90,12 +81,12 @@ def test_scale_and_shift_move_the_volume() -> None:
 
 def test_a_baked_texture_has_the_colours_of_the_vertices() -> None:
     volume = noise(3, 4, 4, 4, dtype=torch.float32)
-    made = carve(volume, ball(6), bake=256)
+    made = carve(volume, sphere(6), bake=256)
     assert made.texture is not None
-    assert made.places is not None
-    corners = carve(volume, Surface(made.surface.vertices, ball().faces[:0], made.surface.normals))
+    assert made.uv is not None
+    corners = carve(volume, Mesh(made.vertices, made.faces[:0]))
     assert corners.colors is not None
-    at = (made.places - 0.5).round().long().clamp(0, 255)  # corners lie between texels
+    at = (made.uv * 256 - 0.5).round().long().clamp(0, 255)  # corners lie between texels
     near = made.texture[:, at[:, 0], at[:, 1]].T
     assert (near - corners.colors).abs().mean() < 0.06
     assert made.texture.shape == (3, 256, 256)
@@ -103,10 +94,21 @@ def test_a_baked_texture_has_the_colours_of_the_vertices() -> None:
 
 def test_both_are_written(tmp_path: Path) -> None:
     volume = noise(3, 4, 4, 4, dtype=torch.float32)
-    carve(volume, ball()).save(tmp_path / "a.ply")
-    carve(volume, ball(), bake=256).save(tmp_path / "b.glb")
-    assert len(read_mesh(tmp_path / "b.glb").faces) == len(ball().faces)
-    assert len(read_mesh(tmp_path / "a.ply").vertices) >= len(ball().vertices)
+    save_mesh(tmp_path / "a.ply", carve(volume, sphere(8)))
+    save_mesh(tmp_path / "b.glb", carve(volume, sphere(8), bake=256))
+    assert len(read_mesh(tmp_path / "b.glb").faces) == len(sphere(8).faces)
+    assert len(read_mesh(tmp_path / "a.ply").vertices) >= len(sphere(8).vertices)
+
+
+def test_a_baked_mesh_looks_like_one_with_colours(tmp_path: Path) -> None:
+    volume = noise(3, 3, 3, 3, dtype=torch.float32)
+    small = {"size": (32, 32), "samples": 2}
+    plain = mesh_picture(carve(volume, sphere(12), detail=0.1), **small)  # type: ignore[arg-type]
+    for name in ("a.glb", "a.obj"):
+        save_mesh(tmp_path / name, carve(volume, sphere(12), bake=512))
+        read = read_mesh(tmp_path / name)
+        baked = mesh_picture(read, **small)  # type: ignore[arg-type]
+        assert (plain - baked).abs().mean() < 0.01
 
 
 @pytest.mark.usefixtures("unchecked")
@@ -123,6 +125,6 @@ def test_both_are_written(tmp_path: Path) -> None:
     ],
 )
 def test_bad_options_get_a_sentence(words: str, options: dict[str, object]) -> None:
-    given: dict[str, object] = {"volume": torch.rand(3, 4, 4, 4), "surface": ball()} | options
+    given: dict[str, object] = {"volume": torch.rand(3, 4, 4, 4), "mesh": sphere(8)} | options
     with pytest.raises(ValueError, match=words):
         carve(**given)  # type: ignore[arg-type]

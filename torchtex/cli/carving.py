@@ -15,7 +15,7 @@ from torchtex.cli.options import Quiet, Report
 from torchtex.cli.recipe import kept_options
 
 if TYPE_CHECKING:
-    from torchtex.volumes.meshes import Surface
+    from torchtex.meshes.mesh import Mesh
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)"
 
@@ -30,7 +30,8 @@ def carve(
     mesh: Annotated[
         str,
         typer.Option(
-            help="A .ply, .obj, .glb, .gltf, .stl or .off, or sphere, torus, vase, cube, cloth."
+            help="A .ply, .obj, .glb, .gltf, .stl or .off, or sphere, torus, vase, cube, cylinder, "
+            "cone, bowl, knot, cloth."
         ),
     ] = "sphere",
     scale: Annotated[
@@ -56,23 +57,31 @@ def carve(
     """Give a mesh the colours that a volume has where its surface passes through."""
     import torchtex
     from torchtex import image as images
+    from torchtex.meshes.files import WRITTEN, check_mesh_path, companions, save_mesh
     from torchtex.volumes import carve as carving
     from torchtex.volumes.files import load_volume
-    from torchtex.volumes.meshes import WRITTEN, check_mesh_path
 
     began = time.perf_counter()
     moved = _shift(shift)
     read = {volume: Path(volume)}
     if Path(mesh).suffix:
         read[mesh] = Path(mesh)
-    check_outputs((("output", output, WRITTEN), ("report", report, (".json",))), read.values())
+    beside = companions(output) if bake is not None and output.suffix.lower() == ".obj" else ()
+    check_outputs(
+        (
+            ("output", output, WRITTEN),
+            ("report", report, (".json",)),
+            *(("output", path, (path.suffix,)) for path in beside),
+        ),
+        read.values(),
+    )
     check_mesh_path(output, baked=bake is not None)
     surface = _surface(mesh)
     points = not len(surface.faces)
     check_mesh_path(output, baked=bake is not None, points=points)
     voxels = load_volume(volume)
     made = carving.carve(voxels, surface, scale=scale, shift=moved, detail=detail, bake=bake)
-    made.save(output)
+    save_mesh(output, made)
     if not quiet and points:
         print(f"mesh={mesh!r} has no faces; its points are coloured", file=sys.stderr)
     elif not quiet and not surface.closed:
@@ -87,8 +96,8 @@ def carve(
             "settings": {
                 "recipe": "carve",
                 "volume": list(voxels.shape),
-                "vertices": len(made.surface.vertices),
-                "faces": len(made.surface.faces),
+                "vertices": len(made.vertices),
+                "faces": len(made.faces),
                 "watertight": surface.closed,
             },
         }
@@ -97,21 +106,19 @@ def carve(
     print(output)
 
 
-def _surface(name: str) -> "Surface":
+def _surface(name: str) -> "Mesh":
     """A mesh from a file, or a built-in one."""
-    from torchtex.render.pictures import OBJECTS
-    from torchtex.volumes.meshes import Surface, read_mesh
+    from torchtex.meshes.files import read_mesh
+    from torchtex.meshes.shapes import SHAPES
 
     if Path(name).suffix:
         return read_mesh(name)
-    shapes = [known for known in OBJECTS if known != "plane"]
+    shapes = [known for known in SHAPES if known != "plane"]
     if name not in shapes:
         raise ValueError(
             f"mesh={name!r} is no built-in mesh and no file of one; {hint(name, shapes)}"
         )
-    built = OBJECTS[name]()
-    assert built.normals is not None
-    return Surface(built.vertices, built.faces, built.normals)
+    return SHAPES[name]()
 
 
 def _shift(text: str) -> tuple[float, float, float]:

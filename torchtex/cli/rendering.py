@@ -28,14 +28,16 @@ def render(
         str,
         typer.Argument(
             help="A texture, or the name of a bundled exemplar; a volume (.npy, .nrrd, .vti, .zarr "
-            "or a folder of slices); or a mesh (.obj, .ply, .glb) with colours at its vertices."
+            "or a folder of slices); or a mesh (.obj, .ply, .glb) with its texture "
+            "or the colours of its vertices."
         ),
     ],
     output: Output,
     object: Annotated[
         str,
         typer.Option(
-            help="What a texture is shown on: sphere, torus, vase, cube, plane, cloth, or a mesh.",
+            help="What a texture is shown on: sphere, torus, vase, cube, cylinder, cone, bowl, "
+            "knot, plane, cloth, or a mesh.",
         ),
     ] = "sphere",
     tiles: Annotated[float, typer.Option(help="Tiles where there is one otherwise.")] = 1.0,
@@ -72,22 +74,22 @@ def render(
     quiet: Quiet = False,
 ) -> None:
     """Show a texture on a thing or on the ground, a volume as a block, or a mesh; in software."""
-    from torchtex.render.pictures import OBJECTS
-    from torchtex.render.solids import MESH_SUFFIXES
+    from torchtex.meshes.files import READ
+    from torchtex.meshes.shapes import SHAPES
     from torchtex.volumes.files import SUFFIXES
 
     wanted = parse_size(size)
     seen, lit = _camera(camera, object), _light(light)
     shape = Path(object)
-    if shape.suffix.lower() not in MESH_SUFFIXES:
-        choose("object", object, tuple(OBJECTS))
+    if shape.suffix.lower() not in READ:
+        choose("object", object, tuple(SHAPES))
     if not 0 <= cut < 1:
         raise ValueError(f"cut={cut} must be at least 0 and below 1")
     path = exemplar_path(source)
     kind = "texture"
     if path.suffix.lower() in SUFFIXES or path.is_dir():
         kind = "volume"
-    elif path.suffix.lower() in MESH_SUFFIXES:
+    elif path.suffix.lower() in READ:
         kind = "mesh"
     read = {source: path} if not path.is_dir() else {}
     if kind == "texture" and shape.suffix:
@@ -97,8 +99,9 @@ def render(
 
     def make(watch: "Watch") -> Any:
         from torchtex import image as images
+        from torchtex.meshes.files import read_mesh
+        from torchtex.meshes.placing import centred
         from torchtex.render import pictures
-        from torchtex.render.solids import load_mesh
         from torchtex.volumes.files import load_volume
 
         started = time.perf_counter()
@@ -113,7 +116,7 @@ def render(
             )
         elif kind == "mesh":
             drawn = pictures.mesh_picture(
-                load_mesh(path, name="source"),
+                centred(read_mesh(path, name="source")),
                 gloss=gloss,
                 camera=seen,
                 light=lit,
@@ -128,7 +131,7 @@ def render(
                 floor = images.load(exemplar_path(ground), alpha=False, name="ground").image
             drawn = pictures.texture_picture(
                 texture,
-                load_mesh(shape, name="object") if shape.suffix else object,
+                centred(read_mesh(shape, name="object")) if shape.suffix else object,
                 tiles=tiles,
                 normals=normals,
                 ground=floor,

@@ -10,25 +10,26 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchtex.image import check_image
+from torchtex.meshes.cubes import cube, cube_cutaway
+from torchtex.meshes.mesh import Mesh
+from torchtex.meshes.placing import centred, wrapped
+from torchtex.meshes.shapes import plane, shape
 from torchtex.render.scene import Thing, draw, normal_map
-from torchtex.render.shapes import Mesh, cloth, plane, sphere, torus, vase
-from torchtex.render.solids import cube, cube_cutaway, wrapped
 from torchtex.render.views import Camera, Light
-
-OBJECTS: dict[str, Callable[[], Mesh]] = {
-    "sphere": sphere, "torus": torus, "vase": vase, "cube": cube, "plane": plane, "cloth": cloth,
-}  # fmt: skip
-"""Things by name."""
 
 VIEWS = {
     "sphere": Camera(20.0, 14.0, 4.0),
     "torus": Camera(15.0, 38.0, 4.1, (0.0, -0.02, 0.0)),
     "vase": Camera(20.0, 20.0, 4.2),
     "cube": Camera(32.0, 24.0, 3.9),
+    "cylinder": Camera(20.0, 26.0, 4.0),
+    "cone": Camera(20.0, 14.0, 4.0, (0.0, 0.1, 0.0)),
+    "bowl": Camera(20.0, 34.0, 3.9),
+    "knot": Camera(15.0, 14.0, 4.0),
     "plane": Camera(25.0, 16.0, 3.4, (0.0, -0.35, 0.0), 50.0),
     "cloth": Camera(12.0, 6.0, 3.9),
 }
-"""Cameras that suit them."""
+"""Cameras that suit the things of `SHAPES`."""
 
 _HAZE = 22.0
 _DAY, _SOFT = Light(), Light(sky=0.4)
@@ -53,13 +54,14 @@ def texture_picture(
     Args:
         texture: (c, h, w) in [0, 1], repeated as a tile; of more than three channels the first
             three are shown.
-        thing: one of `OBJECTS`, or a mesh, which is wrapped as if in a ball if it has no `uv`.
+        thing: one of `meshes.shapes.SHAPES`, or a mesh, which is wrapped as if in a ball if it has
+            no `uv`.
         tiles: how many there are where there is one.
         normals: strength of a relief taken from the texture's lightness; 0 is smooth, and below 0
             dark parts are high.
         ground: texture of a floor below the thing; None for no floor.
         gloss: strength of the highlight.
-        camera: a good one for the thing unless given.
+        camera: one that suits the thing unless given; a mesh is moved before that one then.
         size: height and width of the picture.
         samples: every pixel is the mean of this number squared.
 
@@ -72,9 +74,8 @@ def texture_picture(
     """
     check_image(texture, "texture")
     _check(tiles, normals, gloss)
-    if isinstance(thing, str) and thing not in OBJECTS:
-        raise ValueError(f"thing={thing!r} is unknown; choose {', '.join(OBJECTS)}, or give a mesh")
-    mesh = wrapped(thing) if isinstance(thing, Mesh) else OBJECTS[thing]()
+    mesh = shape(thing, "thing") if isinstance(thing, str) else _placed(thing, camera)
+    mesh = wrapped(mesh)
     view = VIEWS.get(thing, Camera()) if isinstance(thing, str) else Camera()
     flat = thing == "plane"
     relief = normal_map(texture, normals) if normals else None
@@ -102,19 +103,21 @@ def mesh_picture(
 
     Args:
         color: of places (n, 3), the mesh's `places` if it has them, else its vertices.
-        gloss, camera, light, size, shadows, samples: as in `texture_picture`.
+        camera: as in `texture_picture`.
+        gloss, light, size, shadows, samples: as in `texture_picture`.
 
     Raises:
         ValueError: a number out of range.
 
     Example:
+        >>> from torchtex.meshes.shapes import sphere
         >>> mesh_picture(sphere(8), color=lambda p: p / 2 + 0.5, size=(16, 16), samples=1).shape
         torch.Size([3, 16, 16])
     """
     _check(1.0, 0.0, gloss)
     chosen = Camera() if camera is None else camera
     own = mesh.texture if color is None else None
-    thing = Thing(mesh, own, color=color, gloss=gloss)
+    thing = Thing(_placed(mesh, camera), own, color=color, gloss=gloss)
     return draw([thing], chosen, light, size, shadows=shadows, samples=samples)
 
 
@@ -175,6 +178,11 @@ def solid(
         return read[0, :, 0, 0].T
 
     return color
+
+
+def _placed(mesh: Mesh, camera: Camera | None) -> Mesh:
+    """The mesh as the usual camera sees it well, or as it is for a camera of the caller's."""
+    return centred(mesh) if camera is None else mesh
 
 
 def _floor(mesh: Mesh, texture: Tensor) -> Thing:

@@ -14,8 +14,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchtex.image import luminance
+from torchtex.meshes.mesh import Mesh
 from torchtex.render.raster import Hits, Mipmaps, mipmaps, rasterize
-from torchtex.render.shapes import Mesh
 from torchtex.render.views import Camera, Light, Place, direction
 
 Colors = Callable[[Float[Tensor, "n 3"]], Float[Tensor, "n c"]]
@@ -39,10 +39,10 @@ class Thing:
         shadow: whether it throws one.
 
     Raises:
-        ValueError: a texture for a mesh that has no places on it.
+        ValueError: a mesh without triangles, or a texture for one that has no places on it.
 
     Example:
-        >>> from torchtex.render.shapes import sphere
+        >>> from torchtex.meshes.shapes import sphere
         >>> Thing(sphere(), color=lambda place: place).texture is None
         True
     """
@@ -56,6 +56,10 @@ class Thing:
     shadow: bool = True
 
     def __post_init__(self) -> None:
+        if not len(self.mesh.faces):
+            raise ValueError(
+                "mesh has no triangles, so there is nothing to see; give one with some"
+            )
         if self.mesh.uv is None and (self.texture is not None or self.normals is not None):
             raise ValueError(
                 "mesh has no places on a texture (uv); use wrapped(mesh), or give a color"
@@ -107,7 +111,7 @@ def draw(
         ValueError: nothing to draw, or a size or number of samples that is none.
 
     Example:
-        >>> from torchtex.render.shapes import sphere
+        >>> from torchtex.meshes.shapes import sphere
         >>> ball = Thing(sphere(8), torch.rand(3, 8, 8))
         >>> draw([ball], Camera(), Light(), (16, 16), samples=1).shape
         torch.Size([3, 16, 16])

@@ -1,42 +1,18 @@
 """Things carved out of a volume of texture: its colours where the surface passes through it."""
 
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import replace
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchtex.meshes.atlas import atlas
+from torchtex.meshes.mesh import Mesh
+from torchtex.meshes.shapes import shape
+from torchtex.meshes.subdivision import subdivide
 from torchtex.volumes.files import check_volume
-from torchtex.volumes.meshes import Surface, atlas, save_mesh, subdivide
 
 _AT_ONCE = 2**20  # places that are sampled at a time
-
-
-@dataclass(frozen=True, eq=False)
-class Carved:
-    """A mesh with its colours.
-
-    Args:
-        surface: as it was, in smaller triangles, or in triangles with vertices of their own.
-        colors: of every vertex; None where there is a texture.
-        texture: of a baked mesh.
-        places: of every vertex on the texture: row and column in its pixels.
-    """
-
-    surface: Surface
-    colors: Float[Tensor, "v 3"] | None = None
-    texture: Float[Tensor, "3 h w"] | None = None
-    places: Float[Tensor, "v 2"] | None = None
-
-    def save(self, path: str | Path) -> None:
-        """Writes it; see `meshes.save_mesh`.
-
-        Raises:
-            ValueError: a name that it cannot be written to.
-            ImportError: trimesh is not installed.
-        """
-        save_mesh(path, self.surface, colors=self.colors, texture=self.texture, places=self.places)
 
 
 def sample(volume: Float[Tensor, "c d h w"], places: Float[Tensor, "n 3"]) -> Float[Tensor, "n c"]:
@@ -70,29 +46,33 @@ def sample(volume: Float[Tensor, "c d h w"], places: Float[Tensor, "n 3"]) -> Fl
 
 def carve(
     volume: Float[Tensor, "c d h w"],
-    surface: Surface,
+    mesh: Mesh | str,
     *,
     scale: float = 1.0,
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0),
     detail: float = 1.0,
     bake: int | None = None,
-) -> Carved:
+) -> Mesh:
     """A mesh with the colours of a volume: x runs along its columns, y up its rows, z to its front.
 
     Args:
         volume: (c, d, h, w) in [0, 1], of one or three channels; it repeats without end.
+        mesh: such as one of `read_mesh`, or the name of one of `meshes.shapes.SHAPES`.
         scale: how often the longest side of the volume fits along the longest side of the mesh.
         shift: depth, row and column of the volume at the mesh's corner behind, above and to the
             left, in voxels.
         detail: longest edge of the triangles that get colours at their corners, in voxels.
         bake: side of a texture that holds the colours instead, in pixels; triangles stay.
 
+    Returns:
+        The mesh in smaller triangles with `colors`, or baked with `uv` and `texture`; save it by
+        `save_mesh`, or see it by `mesh_picture`.
+
     Raises:
-        ValueError: a volume of other channels, or an option out of range.
+        ValueError: a volume of other channels, an unknown name, or an option out of range.
 
     Example:
-        >>> flat = Surface(torch.eye(3), torch.tensor([[0, 1, 2]]), torch.ones(3, 3))
-        >>> carve(torch.rand(3, 8, 8, 8), flat).colors.shape[1]
+        >>> carve(torch.rand(3, 8, 8, 8), "cube").colors.shape[1]
         3
     """
     check_volume(volume)
@@ -103,7 +83,9 @@ def carve(
             raise ValueError(f"{name}={value} must be above 0, and finite")
     if bake is not None and not 8 <= bake <= 16384:
         raise ValueError(f"bake={bake} must lie in 8..16384 pixels")
-    low, high = surface.vertices.amin(0), surface.vertices.amax(0)
+    given = shape(mesh) if isinstance(mesh, str) else mesh
+    bare = Mesh(given.vertices, given.faces, normals=given.normals)
+    low, high = bare.vertices.amin(0), bare.vertices.amax(0)
     voxels = scale * max(volume.shape[1:]) / float((high - low).max().clamp(min=1e-30))
     start = torch.tensor(shift, dtype=torch.float64)
 
@@ -115,8 +97,8 @@ def carve(
         return found if found.shape[1] == 3 else found.expand(-1, 3).contiguous()
 
     if bake is not None:
-        flat = atlas(surface, bake)
+        flat = atlas(bare, bake)
         texture = colours(flat.points()).T.view(3, bake, bake).contiguous()
-        return Carved(flat.surface, texture=texture, places=flat.places)
-    fine = subdivide(surface, detail / voxels) if len(surface.faces) else surface
-    return Carved(fine, colours(fine.vertices))
+        return replace(flat.mesh, texture=texture)
+    fine = subdivide(bare, detail / voxels) if len(bare.faces) else bare
+    return replace(fine, colors=colours(fine.vertices))

@@ -1,0 +1,1 @@
+"""Meshes: shapes by name, files, smaller triangles, and places on textures."""
