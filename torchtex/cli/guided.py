@@ -51,7 +51,7 @@ def fill(
     confidence: Annotated[
         float, typer.Option(help="Of the known pixels against the texture, at least 0.")
     ] = 10.0,
-    offsets: Annotated[int, typer.Option(help="Shifts of the image that are offered.")] = 64,
+    offsets: Annotated[int, typer.Option(help="Shifts of the image that are offered.")] = 160,
     border: Annotated[
         float, typer.Option(help="Cost of a seam at the border of a hole, against 1 inside.")
     ] = 10.0,

@@ -1,11 +1,13 @@
 """Holes in a photo, filled from its own texture.
 
-Two steps for each hole. The EM solver makes a texture of the hole's surroundings, where the known
-pixels are a soft constraint and are put back after every E-step. Its labels are proposals: each of
-the offsets (source less place) that it chose most often is offered to all pixels of the hole, and
-min-cuts decide who takes it, so that neighbors from unlike offsets agree where they meet, above all
-at the border of the hole. Every new pixel is thus a copy of a known one, as sharp as the photo. A
-Poisson solve within the hole evens out what difference of level is left.
+Three steps for each hole. It is completed patch by patch, in several ways. The EM solver, begun
+from the first of them, makes a texture of the hole's surroundings, where the known pixels are a
+soft constraint and are put back after every E-step. Both are proposals: the offsets (source less
+place) that they chose most often, and those at which the rim of the hole is found again, are
+offered to all pixels of the hole, and min-cuts decide who takes them, so that neighbors from unlike
+offsets agree where they meet, above all at the border of the hole. Every new pixel is thus a copy
+of a known one, as sharp as the photo. A Poisson solve within the hole evens out what difference of
+level is left, but for edges between things of unlike colours.
 
 Source: Kwatra et al. 2005, eq. 2 (soft constraints), 2003 (cost of a seam); the energy of offsets
 after Pritch et al. 2009, frequent offsets as its labels after He and Sun 2012; Perez et al. 2003.
@@ -17,33 +19,31 @@ from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchtex.controls import SoftConstraint
-from torchtex.cuts.expansion import Move, expand
-from torchtex.cuts.laplace import bounding_box
+from torchtex.cuts.expansion import Move
 from torchtex.cuts.mincut import MinCut, default_solver
-from torchtex.cuts.poisson import Guidance, solve
 from torchtex.energy import Objective
 from torchtex.estep import Auto
 from torchtex.features import Feature
 from torchtex.image import resize
 from torchtex.inputs import check_exemplars, check_not_negative, check_seed
 from torchtex.model import Search, label_space
-from torchtex.neighborhoods import Grid
+from torchtex.recipes.completion import Order, complete
+from torchtex.recipes.hole_boxes import Box, around, boxes_of, shifted
+from torchtex.recipes.hole_cut import Hole
 from torchtex.recipes.montage import Montage, Stage
+from torchtex.recipes.offsets import fitting, frequent, rim_offsets
 from torchtex.result import Progress
-from torchtex.schedule import Level, default_schedule
+from torchtex.schedule import Level
 from torchtex.sources import copied, pixel_places
-from torchtex.starts import Blocks
 from torchtex.synthesize import synthesize
 
-Box = tuple[slice, slice]
-
-_SWEEPS = 3
-_NEAR = 6  # pixels around one that say how flat an image is there
-_UNSEEN = 2.0  # cost of a seam where neither side has a known pixel to compare
+_LEVELS = (Level(0.5, 16, 4), Level(0.5, 8, 4), Level(1.0, 16, 2), Level(1.0, 8, 3))
+_LAID: tuple[tuple[Order, int], ...] = (("confidence", 32), ("confidence", 20), ("scan", 32))
+_RIM = 6  # pixels of a hole from its border that have offsets of their own
 
 
 def fill(
@@ -53,7 +53,7 @@ def fill(
     feature: Feature | None = None,
     r: float = 0.8,
     confidence: float = 10.0,
-    offsets: int = 64,
+    offsets: int = 160,
     border: float = 10.0,
     detail: float = 0.05,
     poisson: bool = True,
@@ -76,7 +76,7 @@ def fill(
         mask: True in the holes; of any shape, also at the border of the image.
         feature, r, schedule, search: of the EM solver, see `synthesize`.
         confidence: of the known pixels against the texture energy.
-        offsets: how many are offered, half of them from the rim of the hole.
+        offsets: how many are offered.
         border: cost of a seam at the border of a hole, against 1 for one inside.
         detail: cost of a pixel from where the image is flatter than around the hole, which seams
             alone would prefer; in proportion to how much flatter.
@@ -108,7 +108,7 @@ def fill(
         reach,
         seed,
     )
-    levels = tuple(default_schedule() if schedule is None else schedule)
+    levels = tuple(_LEVELS if schedule is None else schedule)
     least = min(level.size for level in levels)
     if not len(label_space([(mask.shape[0], mask.shape[1])], least, [~mask])):
         raise ValueError(
@@ -118,49 +118,46 @@ def fill(
     solver = default_solver() if solver is None else solver
     known = ~mask
     whole = torch.where(known, image.detach(), image[:, known].mean(1)[:, None, None])
-    sources, patches = (
-        pixel_places(mask.shape, mask.device),
-        torch.zeros_like(mask, dtype=torch.long),
-    )
+    sources = pixel_places(mask.shape, mask.device)
+    patches = torch.zeros_like(mask, dtype=torch.long)
     margin = max(round(level.size / level.scale) for level in levels)
-    boxes = _boxes(mask, margin)
+    boxes = boxes_of(mask, margin)
     areas = [int(mask[box].sum()) for box in boxes]
     for number, box in enumerate(boxes):
-        near, wide = _around(box, margin, reach, known, least)
+        near, wide = around(box, margin, reach, known, least)
         target = torch.zeros_like(mask)
         target[box] = mask[box]
         before, share = sum(areas[:number]) / sum(areas), areas[number] / sum(areas)
         watch = _Watch(on_step, whole, near, target, before, share)
-        part = _Part(whole[:, wide[0], wide[1]], known[wide], target[wide])
-        held = SoftConstraint(whole[:, near[0], near[1]], known[near].to(whole))
+        hole = Hole(whole[:, wide[0], wide[1]], known[wide], target[wide])
+        laid = [_laid(hole, order, side, solver, seed) for order, side in _LAID]
+        first = hole.image[:, laid[0][..., 0], laid[0][..., 1]]
+        inner = shifted(near, -wide[0].start, -wide[1].start)
+        held = SoftConstraint(hole.image[:, inner[0], inner[1]], known[near].to(whole))
         result = synthesize(
-            part.image,
+            hole.image,
             (held.target.shape[1], held.target.shape[2]),
-            masks=part.known,
+            masks=hole.known,
             feature=feature,
             r=r,
-            start=KeptStart(Kept(held)),
-            schedule=schedule,
+            init=first[:, inner[0], inner[1]],
+            schedule=levels,
             search=search,
             estep=Kept(held),
             controls=[(confidence, held)],
             seed=seed,
             on_step=watch.solved,
         )
-        proposed = pixel_places(part.known.shape, mask.device)
-        proposed[_shifted(near, -wide[0].start, -wide[1].start)] = result.source_map[..., 1:]
-        proposed[part.known] = pixel_places(part.known.shape, mask.device)[part.known]
-        offered = part.offered(proposed, offsets)
-        places = part.cut(
-            proposed, offered, border, detail, solver, watch.cut(_SWEEPS * len(offered))
-        )
-        filled = part.pixels(places, poisson=poisson)
-        whole[:, wide[0], wide[1]] = torch.where(part.target, filled, part.image)
+        solved = pixel_places(hole.known.shape, mask.device)
+        solved[inner] = result.source_map[..., 1:]
+        offered = _offered(hole, solved, laid, offsets)
+        places = hole.cut(laid[0], offered, border, detail, solver, watch.cut(3 * len(offered)))
+        filled = hole.pixels(places, poisson=poisson)
+        whole[:, wide[0], wide[1]] = torch.where(hole.target, filled, hole.image)
         corner = torch.tensor([wide[0].start, wide[1].start], device=places.device)
-        sources[wide][part.target] = places[part.target] + corner
-        moved = (places - pixel_places(part.known.shape, mask.device))[part.target]
-        which = moved.unique(dim=0, return_inverse=True)[1]
-        patches[wide][part.target] = which + int(patches.max()) + 1
+        sources[wide][hole.target] = places[hole.target] + corner
+        which = hole.moved(places).unique(dim=0, return_inverse=True)[1]
+        patches[wide][hole.target] = which + int(patches.max()) + 1
     settings = {
         "recipe": "fill", "pixels": sum(areas), "holes": len(boxes), "feature": repr(feature),
         "r": r, "confidence": confidence, "offsets": offsets, "border": border, "detail": detail,
@@ -169,6 +166,39 @@ def fill(
     }  # fmt: skip
     field = copied(F.pad(sources, (1, 0)), [(mask.shape[0], mask.shape[1])])
     return Montage(whole, field, patches, time.perf_counter() - began, seed, settings)
+
+
+def _laid(hole: Hole, order: Order, side: int, solver: MinCut, seed: int) -> Int[Tensor, "h w 2"]:
+    """Places of a hole that was completed patch by patch."""
+    done = complete(
+        hole.image,
+        hole.target,
+        source=hole.image,
+        source_masks=hole.known,
+        patch=fitting(hole.known, side),
+        order=order,
+        rim=0,
+        poisson=False,
+        solver=solver,
+        seed=seed,
+    )
+    return done.source_map[..., 1:]
+
+
+def _offered(
+    hole: Hole, solved: Int[Tensor, "h w 2"], laid: Sequence[Tensor], count: int
+) -> Int[Tensor, "k 2"]:
+    """Offsets for a hole, no more than so many: of all kinds, the most frequent."""
+    patched = torch.cat([hole.moved(places) for places in laid])
+    kinds = [
+        frequent(patched, -(-count // 4)),
+        frequent(hole.moved(solved), -(-count // 4)),
+        frequent(hole.moved(solved, _RIM), count // 4),
+    ]
+    rest = count - sum(len(kind) for kind in kinds)
+    if rest > 0:
+        kinds.append(rim_offsets(hole.image, hole.known, hole.target, rest))
+    return torch.cat(kinds)[:count].unique(dim=0)
 
 
 @dataclass(frozen=True)
@@ -195,226 +225,6 @@ class Kept:
 
     def __call__(self, objective: Objective, x: Float[Tensor, "c h w"]) -> Float[Tensor, "c h w"]:
         return self.put(Auto()(objective, x))
-
-
-@dataclass(frozen=True)
-class KeptStart:
-    """Random blocks around known pixels, or in their hole.
-
-    Args:
-        kept: the known pixels.
-
-    Example:
-        >>> start = KeptStart(Kept(SoftConstraint(torch.ones(1, 8, 8), torch.ones(8, 8))))
-        >>> x = start([torch.zeros(1, 8, 8)], [None], Grid(8, 8, 8, 8), torch.Generator())
-        >>> x.min().item()
-        1.0
-    """
-
-    kept: Kept
-
-    def __call__(
-        self,
-        exemplars: Sequence[Tensor],
-        masks: Sequence[Tensor | None],
-        grid: Grid,
-        generator: torch.Generator,
-    ) -> Float[Tensor, "c h w"]:
-        return self.kept.put(Blocks()(exemplars, masks, grid, generator))
-
-
-@dataclass(frozen=True)
-class _Part:
-    """A hole and what surrounds it. A place is a pixel of it; a label is its number, row by row."""
-
-    image: Float[Tensor, "c h w"]
-    known: Bool[Tensor, "h w"]
-    target: Bool[Tensor, "h w"]
-
-    def offered(self, proposed: Int[Tensor, "h w 2"], count: int) -> Int[Tensor, "k 2"]:
-        """The offsets that are most frequent in the hole, and those at its rim."""
-        moved = proposed - pixel_places(self.known.shape, proposed.device)
-        rim = self.target & (F.max_pool2d((~self.target)[None].float(), 13, 1, 6)[0] > 0)
-        return torch.cat([_frequent(moved[self.target], count - count // 2),
-                          _frequent(moved[rim], count // 2)]).unique(dim=0)  # fmt: skip
-
-    def cut(
-        self,
-        proposed: Int[Tensor, "h w 2"],
-        offered: Int[Tensor, "k 2"],
-        border: float,
-        detail: float,
-        solver: MinCut,
-        on_step: Callable[[Move], None] | None,
-    ) -> Int[Tensor, "h w 2"]:
-        """Places that agree with their neighbors, of the proposed and the offered ones."""
-        h, w = self.known.shape
-        nodes = F.max_pool2d(self.target[None].float(), 3, 1, 1)[0] > 0  # the hole and its ring
-        here = nodes.nonzero()
-        fixed, own = ~self.target[nodes], _flat(here, w)
-        usable = self.known.flatten()
-        begin = torch.where(fixed, own, _flat(proposed, w)[nodes])
-        rows = []
-        for offset in offered:
-            place = here + offset
-            exists = ((place >= 0) & (place < place.new_tensor([h, w]))).all(1) & ~fixed
-            label = torch.where(exists, _flat(place, w), begin)
-            rows.append(torch.where(usable[label], label, begin))
-
-        flat = detail * self.flatness().flatten()
-
-        def unary(labels: Tensor) -> Tensor:
-            barred = torch.where(fixed, labels != own, ~usable[labels])
-            return torch.where(fixed, 0, flat[labels]).masked_fill(barred, torch.inf)
-
-        number = torch.full((h, w), -1, device=here.device)
-        number[nodes] = torch.arange(len(here), device=here.device)
-        pairs = [torch.stack(_ends(number, axis), -1).view(-1, 2) for axis in (1, 0)]
-        pairs = [p[(p >= 0).all(1) & ~fixed[p].all(1)] for p in pairs]
-        edges = torch.cat(pairs)
-        weight = torch.where(fixed[edges].any(1), border, 1.0).to(self.image)
-        split = len(pairs[0])
-        views = self._views()
-
-        def pairwise(first: Tensor, second: Tensor) -> Tensor:
-            costs = torch.cat([
-                _seam(views, first[:split], second[:split], 1),
-                _seam(views, first[split:], second[split:], 2),
-            ])  # fmt: skip
-            step = torch.ones_like(first)
-            step[split:] = w
-            together = (second - first == step) & ((step == w) | (second % w > 0))
-            return (weight * costs).masked_fill(together, 0)
-
-        labels, _ = expand(
-            begin, torch.stack(rows), unary, edges, pairwise,
-            solver=solver, sweeps=_SWEEPS, on_step=on_step,
-        )  # fmt: skip
-        places = pixel_places(self.known.shape, here.device)
-        places[nodes] = torch.stack([labels // w, labels % w], 1)
-        return places
-
-    def flatness(self) -> Float[Tensor, "h w"]:
-        """How much less than around the hole an image changes from pixel to pixel, 0 to 1."""
-        steps, counts = torch.zeros_like(self.image[0]), torch.zeros_like(self.image[0])
-        for axis in (0, 1):
-            one, other = _ends(self.known, axis)
-            both = (one & other).to(self.image)
-            step = self.image.diff(dim=axis + 1).square().sum(0).sqrt() * both
-            steps.narrow(axis, 0, step.shape[axis]).add_(step)
-            counts.narrow(axis, 0, step.shape[axis]).add_(both)
-        wide = 2 * _NEAR + 1
-        local, count = (
-            F.avg_pool2d(x[None, None], wide, 1, _NEAR, count_include_pad=True)[0, 0]
-            for x in (steps, counts)
-        )
-        local = local / count.clamp(min=1e-6)
-        rim = self.known & (F.max_pool2d(self.target[None].to(local), 2 * wide + 1, 1, wide)[0] > 0)
-        usual = local[rim if bool(rim.any()) else self.known].mean()
-        return (1 - local / usual.clamp(min=1e-6)).clamp(0, 1)
-
-    def pixels(
-        self, places: Int[Tensor, "h w 2"], *, poisson: bool = False
-    ) -> Float[Tensor, "c h w"]:
-        """The pixels of those places; with `poisson`, levelled along the seams."""
-        pasted = self.image[:, places[..., 0], places[..., 1]]
-        if not poisson:
-            return pasted
-        labels, views = _flat(places, self.known.shape[1]), self._views()
-        right, down = (_slope(views, *_ends(labels, axis), view) for axis, view in ((1, 1), (0, 2)))
-        return solve(Guidance(right, down), pasted, self.target, boundary="free").clamp(0, 1)
-
-    def _views(self) -> Float[Tensor, "5 k n"]:
-        """Channels and 1 where known: at a pixel, and to its right, below, left and above it."""
-        full = torch.cat([self.image, self.known[None].to(self.image)])
-        wide = F.pad(full, (1, 1, 1, 1))
-        h, w = self.known.shape
-        steps = ((0, 0), (0, 1), (1, 0), (0, -1), (-1, 0))
-        return torch.stack([wide[:, 1 + i : 1 + i + h, 1 + j : 1 + j + w] for i, j in steps]).view(
-            5, len(full), h * w
-        )
-
-
-def _seam(views: Tensor, one: Tensor, other: Tensor, view: int) -> Tensor:
-    """How unlike both labels are at both pixels of an edge, as far as pixels are known."""
-    gaps = counts = torch.zeros_like(views[0, 0, one])
-    for a, b in (
-        (views[0][:, one], views[view + 2][:, other]),
-        (views[view][:, one], views[0][:, other]),
-    ):
-        both = a[-1] * b[-1]
-        gaps = gaps + both * (a[:-1] - b[:-1]).square().sum(0).sqrt()
-        counts = counts + both
-    return torch.where(counts > 0, 2 * gaps / counts.clamp(min=1), _UNSEEN)
-
-
-def _slope(views: Tensor, one: Tensor, other: Tensor, view: int) -> Tensor:
-    """Wanted difference along each edge: the mean of those at both sources, where known."""
-    here, after = views[0][:, one], views[view][:, one]
-    before, there = views[view + 2][:, other], views[0][:, other]
-    first, second = here[-1] * after[-1], before[-1] * there[-1]
-    slope = first * (after - here)[:-1] + second * (there - before)[:-1]
-    return slope / (first + second).clamp(min=1)
-
-
-def _frequent(moved: Int[Tensor, "n 2"], count: int) -> Int[Tensor, "k 2"]:
-    kinds, times = moved.unique(dim=0, return_counts=True)
-    return kinds[times.argsort(descending=True, stable=True)[:count]]
-
-
-def _flat(places: Int[Tensor, "*n 2"], width: int) -> Int[Tensor, "*n"]:
-    return places[..., 0] * width + places[..., 1]
-
-
-def _ends(x: Shaped[Tensor, "h w"], axis: int) -> tuple[Tensor, Tensor]:
-    """The two ends of all edges along an axis."""
-    n = x.shape[axis]
-    return x.narrow(axis, 0, n - 1), x.narrow(axis, 1, n - 1)
-
-
-def _boxes(mask: Bool[Tensor, "h w"], gap: int) -> list[Box]:
-    """Boxes that hold all of the mask, split where more than `gap` rows or columns are free."""
-    found: list[Box] = []
-    todo = [bounding_box(mask)]
-    while todo:
-        box = todo.pop()
-        for axis in (0, 1):
-            taken = mask[box].any(1 - axis).nonzero().flatten()
-            free = (taken.diff() > gap).nonzero().flatten()
-            if len(free):
-                middle = box[axis].start + int(taken[free[0]]) + 1
-                for span in (slice(box[axis].start, middle), slice(middle, box[axis].stop)):
-                    half = (span, box[1]) if axis == 0 else (box[0], span)
-                    tight = bounding_box(mask[half])
-                    todo.append(_shifted(tight, half[0].start, half[1].start))
-                break
-        else:
-            found.append(box)
-    return sorted(found, key=lambda box: (box[0].start, box[1].start))
-
-
-def _around(
-    box: Box, margin: int, reach: int, known: Bool[Tensor, "h w"], least: int
-) -> tuple[Box, Box]:
-    """What the solver makes, and where it may look; all of the image if that holds no window."""
-    near, wide = (_grown(box, by, known.shape) for by in (margin, max(margin, reach)))
-    if not len(label_space([(known[wide].shape[0], known[wide].shape[1])], least, [known[wide]])):
-        wide = (slice(0, known.shape[0]), slice(0, known.shape[1]))
-    return near, wide
-
-
-def _grown(box: Box, by: int, size: Sequence[int]) -> Box:
-    rows, cols = (
-        slice(max(0, s.start - by), min(n, s.stop + by)) for s, n in zip(box, size, strict=True)
-    )
-    return rows, cols
-
-
-def _shifted(box: Box, rows: int, cols: int) -> Box:
-    return (
-        slice(box[0].start + rows, box[0].stop + rows),
-        slice(box[1].start + cols, box[1].stop + cols),
-    )
 
 
 @dataclass(frozen=True)
