@@ -99,6 +99,14 @@ def test_shift_and_scale_change_colours(run: Run, here: Path) -> None:
     assert a == c  # it repeats
 
 
+def test_a_report_says_how_to_carve_it_again(run: Run, here: Path) -> None:
+    line = ("carve", "v.npy", "--mesh", "closed.obj", "--shift", "1,0,2", "--report", "r.json")
+    assert run(*line, "-o", "x.glb").code == 0
+    assert run("repeat", "r.json", "-o", "y.glb", "--quiet") == Done(0, "y.glb\n", "")
+    assert Path("x.glb").read_bytes() == Path("y.glb").read_bytes()
+    refused(run, here, "would overwrite", "repeat", "r.json", "-o", "r.json", "--quiet")
+
+
 GOOD = ("v.npy", "--mesh", "closed.obj", "-o", "x.glb")
 BAD: list[tuple[str, tuple[str, ...]]] = [
     ("mesh='ball' is no built-in mesh", ("v.npy", "--mesh", "ball", "-o", "x.glb")),

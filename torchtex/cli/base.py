@@ -6,13 +6,10 @@ import re
 import signal
 import sys
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 import typer.core
-
-if TYPE_CHECKING:
-    import torch
 
 # what commands are handed is then of the class that they say
 typer.core.TyperCommand.context_class = typer.Context
@@ -118,18 +115,18 @@ def _watching_interrupts() -> Iterator[None]:
 
 
 class Watch:
-    """Keeps the last texture and shows how far the run is."""
+    """Keeps the last step, with its texture, and shows how far the run is."""
 
     def __init__(self, bar: Any = None, quiet: bool = False) -> None:
         self.bar = bar
         self.quiet = quiet
-        self.texture: torch.Tensor | None = None
+        self.last: Any = None
         self.note = ""
         self.task = bar.add_task("start", total=1.0, detail="") if bar is not None else None
 
     def __call__(self, progress: Any) -> None:
-        """Takes a `synthesize.Progress` or a `montage.Stage`."""
-        self.texture = progress.texture
+        """Takes a `synthesize.Progress`, a `montage.Stage` or a `SolidStep`."""
+        self.last = progress
         if Interrupts.seen:  # swallowed by a library
             raise KeyboardInterrupt
         if self.bar is not None:

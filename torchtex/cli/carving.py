@@ -1,18 +1,19 @@
 """`torchtex carve`: meshes with the colours of a volume."""
 
-import json
 import re
 import sys
 import time
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from torchtex.cli.base import app
-from torchtex.cli.files import check_outputs, hint, sha256
-from torchtex.cli.options import Quiet, Report
-from torchtex.cli.recipe import kept_options
+from torchtex.cli.base import Watch, app
+from torchtex.cli.files import check_outputs, hint
+from torchtex.cli.options import Quiet, Report, Threads
+from torchtex.cli.recipe import carry_out, write_report
 
 if TYPE_CHECKING:
     from torchtex.meshes.mesh import Mesh
@@ -51,59 +52,90 @@ def carve(
             "the vertices of small triangles."
         ),
     ] = None,
+    threads: Threads = None,
     report: Report = None,
     quiet: Quiet = False,
 ) -> None:
     """Give a mesh the colours that a volume has where its surface passes through."""
-    import torchtex
-    from torchtex import image as images
-    from torchtex.meshes.files import WRITTEN, check_mesh_path, companions, save_mesh
+    from torchtex.meshes.files import check_mesh_path
     from torchtex.volumes import carve as carving
     from torchtex.volumes.files import load_volume
 
-    began = time.perf_counter()
     moved = _shift(shift)
-    read = {volume: Path(volume)}
+    read = {volume: Path(volume)} if Path(volume).is_file() else {}
     if Path(mesh).suffix:
         read[mesh] = Path(mesh)
-    beside = companions(output) if bake is not None and output.suffix.lower() == ".obj" else ()
-    check_outputs(
-        (
-            ("output", output, WRITTEN),
-            ("report", report, (".json",)),
-            *(("output", path, (path.suffix,)) for path in beside),
-        ),
-        read.values(),
-    )
-    check_mesh_path(output, baked=bake is not None)
-    surface = _surface(mesh)
-    points = not len(surface.faces)
-    check_mesh_path(output, baked=bake is not None, points=points)
-    voxels = load_volume(volume)
-    made = carving.carve(voxels, surface, scale=scale, shift=moved, detail=detail, bake=bake)
-    save_mesh(output, made)
-    if not quiet and points:
-        print(f"mesh={mesh!r} has no faces; its points are coloured", file=sys.stderr)
-    elif not quiet and not surface.closed:
-        print(f"mesh={mesh!r} is not watertight; it is carved as it is", file=sys.stderr)
-    if report is not None:
-        about: dict[str, Any] = {
-            "version": torchtex.__version__,
-            "command": context.info_name,
-            "options": kept_options(context),
-            "files": {name: sha256(path) for name, path in read.items() if path.is_file()},
-            "seconds": time.perf_counter() - began,
-            "settings": {
-                "recipe": "carve",
-                "volume": list(voxels.shape),
-                "vertices": len(made.vertices),
-                "faces": len(made.faces),
-                "watertight": surface.closed,
-            },
-        }
-        with images.atomic_write(report, name="report") as temporary:
-            temporary.write_text(json.dumps(about, indent=2) + "\n")
-    print(output)
+    outputs = Meshes(output, bake is not None, report)
+
+    def make(watch: Watch) -> _Carved:
+        began = time.perf_counter()
+        surface = _surface(mesh)
+        points = not len(surface.faces)
+        check_mesh_path(output, baked=bake is not None, points=points)
+        voxels = load_volume(volume)
+        made = carving.carve(voxels, surface, scale=scale, shift=moved, detail=detail, bake=bake)
+        if not quiet and points:
+            print(f"mesh={mesh!r} has no faces; its points are coloured", file=sys.stderr)
+        elif not quiet and not surface.closed:
+            print(f"mesh={mesh!r} is not watertight; it is carved as it is", file=sys.stderr)
+        settings = {
+            "recipe": "carve", "volume": list(voxels.shape), "vertices": len(made.vertices),
+            "faces": len(made.faces), "watertight": surface.closed,
+        }  # fmt: skip
+        return _Carved(made, {"seconds": time.perf_counter() - began, "settings": settings})
+
+    carry_out(context, outputs, read, make, threads=threads, quiet=True)
+
+
+@dataclass(frozen=True)
+class _Carved:
+    """A carved mesh, with what is said about it."""
+
+    mesh: "Mesh"
+    about: dict[str, Any]
+
+    def report(self) -> dict[str, Any]:
+        return self.about
+
+
+@dataclass(frozen=True)
+class Meshes:
+    """What a run that makes a mesh writes.
+
+    Args:
+        output: the mesh.
+        baked: whether it has a texture.
+        report: .json, or None.
+    """
+
+    output: Path
+    baked: bool
+    report: Path | None = None
+
+    def check(self, read: Mapping[str, Path]) -> None:
+        """Refuses, before work starts, what cannot be written."""
+        from torchtex.meshes.files import WRITTEN, check_mesh_path, companions
+
+        beside = self.baked and self.output.suffix.lower() == ".obj"
+        check_outputs(
+            (
+                ("output", self.output, WRITTEN),
+                ("report", self.report, (".json",)),
+                *(("output", path, ()) for path in (companions(self.output) if beside else ())),
+            ),
+            read.values(),
+        )
+        check_mesh_path(self.output, baked=self.baked)
+
+    def write(self, result: _Carved, about: dict[str, Any]) -> None:
+        """Writes all of it."""
+        from torchtex.meshes.files import save_mesh
+
+        save_mesh(self.output, result.mesh)
+        write_report(self.report, about)
+
+    def write_partial(self, progress: Any, about: dict[str, Any]) -> None:
+        """Nothing: a mesh is carved in one step."""
 
 
 def _surface(name: str) -> "Mesh":

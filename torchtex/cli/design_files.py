@@ -6,7 +6,7 @@ import typer
 
 from torchtex.cli.base import progress_bar
 from torchtex.cli.layers import numbered
-from torchtex.cli.recipe import Outputs, kept_options
+from torchtex.cli.recipe import Outputs, described, kept_options
 
 
 def run_file(
@@ -54,8 +54,6 @@ def run_file(
         torch.set_num_threads(threads)
     with progress_bar(quiet) as watch:
         made = run_book(book, load_book(book), cache=cache, on_step=watch)
-    from torchtex.cli.designing import described
-
     about = described(context, {str(recipe): recipe} | files, kept_options(context))
     about["stages"] = [{"stage": name, "run": run} for name, run in made.run]
     for name, number in zip(names, wanted, strict=True):

@@ -15,7 +15,6 @@ from torchtex.cli.files import (
     parse_size,
     read_files,
     same_channels,
-    sha256,
     solver_of,
 )
 from torchtex.cli.layers import (
@@ -43,7 +42,7 @@ from torchtex.cli.options import (
     Solver,
     Threads,
 )
-from torchtex.cli.recipe import Outputs, carry_out, kept_options, patch_pictures
+from torchtex.cli.recipe import Outputs, carry_out, described, kept_options, patch_pictures
 
 if TYPE_CHECKING:
     from torchtex.layers.plans import Plan
@@ -83,6 +82,9 @@ def complete(
     apart: Annotated[
         int, typer.Option(help="Least pixels from a source's own place, in one of the same size.")
     ] = 0,
+    fresh: Annotated[
+        float, typer.Option(help="How much dearer a patch is that was all used once; 2: 3 times.")
+    ] = 2.0,
     plain: Plain = False,
     solver: Solver = None,
     seed: Seed = 0,
@@ -118,6 +120,7 @@ def complete(
             tolerance=tolerance,
             rim=rim,
             apart=apart,
+            fresh=fresh,
             poisson=not plain,
             solver=chosen,
             seed=seed,
@@ -277,20 +280,6 @@ def _several(
         about = described(context, read, options | {"count": 1, "seed": result.seed})
         outputs(number).write(result, about | result.report())
         print(numbered(output, number))
-
-
-def described(
-    context: typer.Context, read: dict[str, Path], options: dict[str, Any]
-) -> dict[str, Any]:
-    """What a picture holds of how it was made."""
-    import torchtex
-
-    return {
-        "version": torchtex.__version__,
-        "command": context.info_name,
-        "options": options,
-        "files": {name: sha256(path) for name, path in read.items()},
-    }
 
 
 def _scribbled(zs: Any, scribbles: list[str]) -> Any:

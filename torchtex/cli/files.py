@@ -116,6 +116,11 @@ def check_output(
     images.check_writable(
         output, suffixes=images.SUFFIXES if suffixes is None else suffixes, name=name
     )
+    check_other(output, read, name)
+
+
+def check_other(output: Path, read: Iterable[Path], name: str = "output") -> None:
+    """Refuses an output that is one of the files to be read."""
     for path in read:
         if output.exists() and path.exists() and output.samefile(path):
             raise ValueError(

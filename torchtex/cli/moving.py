@@ -3,19 +3,19 @@
 import contextlib
 import itertools
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from torchtex.cli.base import Interrupts, app, progress_bar
+from torchtex.cli.base import Watch, app
 from torchtex.cli.files import (
     check_outputs,
     load_exemplars,
     parse_size,
     read_files,
-    sha256,
     solver_of,
 )
 from torchtex.cli.options import (
@@ -29,7 +29,7 @@ from torchtex.cli.options import (
     Solver,
     Threads,
 )
-from torchtex.cli.recipe import kept_options
+from torchtex.cli.recipe import carry_out, described, kept_options, write_report
 
 if TYPE_CHECKING:
     import torch
@@ -113,9 +113,6 @@ def animate(
     or where --preview did. The frames in a folder say how they were made, and so does a report:
     `torchtex repeat` takes either.
     """
-    import torch
-
-    import torchtex
     from torchtex import image as images
     from torchtex.flow.fields import Scaled
     from torchtex.flow.words import parse_flow
@@ -137,31 +134,25 @@ def animate(
     field = parse_flow(flow)
     moving = field if flow_scale == 1 else Scaled(field, flow_scale)
     read = read_files(exemplar, mask or [])
-    _check_outputs(read, output, keep, rate, compare, report, flow_picture)
+    outputs = Films(output, keep, rate, compare, report, flow_picture)
     folder = output if is_folder(output) else keep
-    if threads is not None:
-        torch.set_num_threads(threads)
-    about: dict[str, Any] = {
-        "version": torchtex.__version__,
-        "command": "animate",
-        "options": _deciding(context),
-        "files": {name: sha256(path) for name, path in read.items()},
-    }
-    zs, masks = load_exemplars(exemplar, mask or [])
-    record = about | {"options": _told(context)}
-    store = None if folder is None else _Folder(folder, about, record)
-    resume = None if store is None else store.resumed()
-    made = animated(
-        zs, height_width, moving, frames, masks=masks, motion=motion, boundary=boundary, loop=loop,
-        solver=chosen, seed=seed, resume=resume,
-    )  # fmt: skip
-    if flow_picture is not None:
-        from torchtex.flow.pictures import flow_picture as drawn
 
-        first = moving(0, *height_width)
-        images.save(flow_picture, drawn(first, periodic=boundary == "periodic"))
-    lines: list[dict[str, float]] = []
-    with progress_bar(quiet) as watch:
+    def make(watch: Watch) -> _Run:
+        record = described(context, read, kept_options(context))
+        about = record | {"options": _deciding(context)}
+        zs, masks = load_exemplars(exemplar, mask or [])
+        store = None if folder is None else _Folder(folder, about, record)
+        resume = None if store is None else store.resumed()
+        made = animated(
+            zs, height_width, moving, frames, masks=masks, motion=motion, boundary=boundary,
+            loop=loop, solver=chosen, seed=seed, resume=resume,
+        )  # fmt: skip
+        if flow_picture is not None:
+            from torchtex.flow.pictures import flow_picture as drawn
+
+            first = moving(0, *height_width)
+            images.save(flow_picture, drawn(first, periodic=boundary == "periodic"))
+        lines: list[dict[str, Any]] = []
 
         def stream() -> "Iterator[torch.Tensor]":
             if store is not None and resume is not None:
@@ -192,65 +183,83 @@ def animate(
             count = sum(1 for _ in shown)  # the store has written them
         else:
             count = write_video(output, shown, rate=rate)
-    if report is not None:
-        with images.atomic_write(report, name="report") as temporary:
-            temporary.write_text(json.dumps(record | {"frames": lines}, indent=2) + "\n")
-    if store is not None and count == frames:
-        store.done()
-    if Interrupts.seen:
-        print(output)
-        raise KeyboardInterrupt
-    print(output)
+        if store is not None and count == frames:
+            store.done()
+        return _Run(lines)
+
+    carry_out(context, outputs, read, make, threads=threads, quiet=quiet)
 
 
-def _check_outputs(
-    read: dict[str, Path],
-    output: Path,
-    keep: Path | None,
-    rate: float,
-    compare: bool,
-    report: Path | None,
-    flow_picture: Path | None,
-) -> None:
-    """Refuses, before any work, what cannot be written."""
-    from torchtex import image as images
-    from torchtex.video import check_rate, check_video, is_folder
+@dataclass(frozen=True)
+class _Run:
+    """The record of frames that were made."""
 
-    check_video(output)
-    check_rate(rate)
-    if is_folder(output) and compare:
-        raise ValueError(
-            f"compare needs a film, and output={str(output)!r} is a folder; name a film, and "
-            "a folder with --keep"
+    frames: list[dict[str, Any]]
+
+    def report(self) -> dict[str, Any]:
+        return {"frames": self.frames}
+
+
+@dataclass(frozen=True)
+class Films:
+    """What an animation writes; its frames are written as they come, so that none is held.
+
+    Args:
+        output: the film, or a folder of frames.
+        keep: folder of frames beside it, or None.
+        rate: frames per second.
+        compare: whether others stand beside it.
+        report: .json, or None.
+        flow_picture: picture of the first flow field, or None.
+    """
+
+    output: Path
+    keep: Path | None
+    rate: float
+    compare: bool
+    report: Path | None
+    flow_picture: Path | None
+
+    def check(self, read: Mapping[str, Path]) -> None:
+        """Refuses, before any work, what cannot be written."""
+        from torchtex import image as images
+        from torchtex.video import check_rate, check_video, is_folder
+
+        check_video(self.output)
+        check_rate(self.rate)
+        if is_folder(self.output) and self.compare:
+            raise ValueError(
+                f"compare needs a film, and output={str(self.output)!r} is a folder; name a film, "
+                "and a folder with --keep"
+            )
+        if self.keep is not None:
+            if self.keep.exists() and not self.keep.is_dir():
+                raise ValueError(f"keep={str(self.keep)!r} is a file; name a folder")
+            if not self.keep.resolve().parent.is_dir():
+                raise ValueError(f"keep={str(self.keep)!r}: there is no folder to make it in")
+        check_outputs(
+            (
+                ("output", None if is_folder(self.output) else self.output, ()),
+                ("report", self.report, (".json",)),
+                ("flow-picture", self.flow_picture, images.SUFFIXES),
+            ),
+            read.values(),
         )
-    if keep is not None:
-        if keep.exists() and not keep.is_dir():
-            raise ValueError(f"keep={str(keep)!r} is a file; name a folder")
-        if not keep.resolve().parent.is_dir():
-            raise ValueError(f"keep={str(keep)!r}: there is no folder to make it in")
-    film = None if is_folder(output) else output
-    check_outputs(
-        (
-            ("output", film, ()),
-            ("report", report, (".json",)),
-            ("flow-picture", flow_picture, images.SUFFIXES),
-        ),
-        read.values(),
-    )
+
+    def write(self, result: _Run, about: dict[str, Any]) -> None:
+        """Writes the report; all else is there."""
+        write_report(self.report, about)
+
+    def write_partial(self, progress: Any, about: dict[str, Any]) -> None:
+        """Nothing: what was made is there."""
 
 
 def _deciding(context: typer.Context) -> dict[str, Any]:
     """The options that decide the frames: not where they go, nor how many of them are wanted."""
-    aside = ["keep", "rate", "flow_picture", "compare"]
+    aside = ["rate", "compare"]
     if not context.params["loop"]:
         aside.append("frames")
     return {name: value for name, value in kept_options(context).items() if name not in aside}
-
-
-def _told(context: typer.Context) -> dict[str, Any]:
-    """The options that `repeat` needs."""
-    options = kept_options(context)
-    return {name: options[name] for name in options if name not in ("keep", "flow_picture")}
 
 
 def _beside(

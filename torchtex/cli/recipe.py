@@ -4,7 +4,7 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import typer
 
@@ -19,14 +19,33 @@ if TYPE_CHECKING:
 
 ASIDE = {
     "output", "labels", "report", "threads", "keep_partial", "quiet", "seams", "patch_map",
-    "preview", "curve", "pictures", "workers", "cache",
+    "preview", "curve", "pictures", "workers", "cache", "checkpoint", "slices", "keep",
+    "flow_picture",
 }  # fmt: skip
 """Options that change no pixel: they are not kept, and `repeat` does not take them from a file."""
 
 
+@runtime_checkable
+class Saving(Protocol):
+    """What becomes of a result: `Outputs` for textures, others for volumes, meshes and films."""
+
+    @property
+    def output(self) -> Path:
+        """The file, or the folder, that is named when it is there."""
+
+    def check(self, read: Mapping[str, Path]) -> None:
+        """Refuses, before work starts, what cannot be written; `read` are the files read."""
+
+    def write(self, result: Any, about: dict[str, Any]) -> None:
+        """Writes all of it, with what made it."""
+
+    def write_partial(self, progress: Any, about: dict[str, Any]) -> None:
+        """Writes what an interrupted run had: what `on_step` was given last."""
+
+
 @dataclass(frozen=True)
 class Outputs:
-    """What a run writes.
+    """What a run that makes a texture writes.
 
     Args:
         output: the texture.
@@ -76,15 +95,26 @@ class Outputs:
         save_picture(self.output, result.texture, self.bits, about)
         if self.labels is not None:
             result.field.save(self.labels)
-        if self.report is not None:
-            with images.atomic_write(self.report, name="report") as temporary:
-                temporary.write_text(json.dumps(about, indent=2) + "\n")
+        write_report(self.report, about)
         for name, path, draw in self.pictures:
             if path is not None:
                 images.save(path, draw(result), name=name)
         for _, path, save in self.files:
             if path is not None:
                 save(path)
+
+    def write_partial(self, progress: Any, about: dict[str, Any]) -> None:
+        """Writes the texture that there was."""
+        save_picture(self.output, progress.texture, self.bits, about)
+
+
+def write_report(path: Path | None, about: dict[str, Any]) -> None:
+    """What made a result, as JSON; None writes nothing."""
+    from torchtex import image as images
+
+    if path is not None:
+        with images.atomic_write(path, name="report") as temporary:
+            temporary.write_text(json.dumps(about, indent=2) + "\n")
 
 
 def patch_pictures(
@@ -99,9 +129,9 @@ def patch_pictures(
 
 def carry_out(
     context: typer.Context,
-    outputs: Outputs,
+    outputs: Saving,
     read: Mapping[str, Path],
-    make: "Callable[[Watch], Montage]",
+    make: Callable[[Watch], Any],
     *,
     threads: int | None = None,
     keep_partial: bool = False,
@@ -113,21 +143,15 @@ def carry_out(
         context: of the command, whose options are kept in the picture.
         outputs: what to write.
         read: the files that decide the pixels, by the names they were given under.
-        make: loads, runs the recipe with the given `on_step`, and returns its result.
+        make: loads, runs the recipe with the given `on_step`, and returns its result, which has a
+            `report()` of plain values.
     """
     import torch
-
-    import torchtex
 
     outputs.check(read)
     if threads is not None:
         torch.set_num_threads(threads)
-    about: dict[str, Any] = {
-        "version": torchtex.__version__,
-        "command": context.info_name,
-        "options": kept_options(context),
-        "files": {name: sha256(path, _parameter(context, name)) for name, path in read.items()},
-    }
+    about = described(context, read, kept_options(context))
     with progress_bar(quiet) as watch:
         try:
             result = make(watch)
@@ -135,13 +159,27 @@ def carry_out(
             if not Interrupts.seen and not isinstance(error, KeyboardInterrupt):
                 raise
             Interrupts.seen = True
-            if keep_partial and watch.texture is not None:
-                save_picture(outputs.output, watch.texture, outputs.bits, about | {"partial": True})
+            if keep_partial and watch.last is not None:
+                outputs.write_partial(watch.last, about | {"partial": True})
                 print(outputs.output)
             raise KeyboardInterrupt from None
     about |= result.report()
     outputs.write(result, about)
     print(outputs.output)
+
+
+def described(
+    context: typer.Context, read: Mapping[str, Path], options: dict[str, Any]
+) -> dict[str, Any]:
+    """What is kept of how something was made: enough for `repeat`."""
+    import torchtex
+
+    return {
+        "version": torchtex.__version__,
+        "command": context.info_name,
+        "options": options,
+        "files": {name: sha256(path, _parameter(context, name)) for name, path in read.items()},
+    }
 
 
 def _parameter(context: typer.Context, name: str) -> str:

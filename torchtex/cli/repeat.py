@@ -9,13 +9,10 @@ from typing import Annotated, Any
 import typer
 
 from torchtex.cli.base import app
-from torchtex.cli.files import check_output, exemplar_path, sha256
+from torchtex.cli.files import check_other, exemplar_path, sha256
 from torchtex.cli.options import KeepPartial, Labels, Output, Quiet, Report, Threads
 from torchtex.cli.recipe import command_line
 from torchtex.cli.synth import Recipe, run
-
-NO_PICTURES = ("animate", "solid")
-"""Commands that write films, folders or volumes, and check the names themselves."""
 
 
 @app.command()
@@ -125,8 +122,8 @@ def _run_again(
     source: Path,
 ) -> None:
     name, *rest = line
-    if name not in NO_PICTURES:
-        check_output(output, [source])
+    if source.is_file():
+        check_other(output, [source])
     extra = [f"--output={output}"]
     extra += [f"--labels={labels}"] if labels is not None else []
     extra += [f"--report={report}"] if report is not None else []

@@ -2,24 +2,22 @@
 
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from torchtex.cli.base import Interrupts, app, progress_bar
-from torchtex.cli.files import check_outputs, choose, exemplar_path, same_channels, sha256
+from torchtex.cli.base import Watch, app
+from torchtex.cli.files import check_outputs, choose, exemplar_path, same_channels
 from torchtex.cli.options import KeepPartial, Quiet, Report, Seed, Threads
-from torchtex.cli.recipe import kept_options
+from torchtex.cli.recipe import carry_out, write_report
 
 if TYPE_CHECKING:
     import torch
 
     from torchtex.recipes.solid_result import Solid, SolidStep
-
-ASIDE = ("checkpoint", "slices")
-"""Options that change no voxel."""
 
 
 @app.command()
@@ -79,15 +77,10 @@ def solid(
     quiet: Quiet = False,
 ) -> None:
     """Make a volume whose slices look like the exemplars; it tiles in all directions."""
-    import torch
-
-    import torchtex
-    from torchtex import image as images
     from torchtex.recipes.skeletal_solid import skeletal_solid
     from torchtex.recipes.solid import solid as kopf
     from torchtex.recipes.solid import solid_schedule
     from torchtex.recipes.solid_result import SolidCheckpoint
-    from torchtex.volumes.files import check_volume_path, save_volume
 
     extent = _extent(size)
     choose("method", method, ("kopf", "skeletal"))
@@ -96,68 +89,83 @@ def solid(
     drawn = map or []
     read = {name: exemplar_path(name) for name in exemplar if name != "none"}
     read |= {name: Path(name) for name in drawn}
-    check_volume_path(output, bits=bits, name="output")
-    check_outputs(
-        (
-            ("slices", slices, images.SUFFIXES),
-            ("report", report, (".json",)),
-            ("checkpoint", checkpoint, (".npz",)),
-        ),
-        [path for path in read.values() if path.exists()],
-    )
-    if threads is not None:
-        torch.set_num_threads(threads)
-    kept = {name: value for name, value in kept_options(context).items() if name not in ASIDE}
-    about: dict[str, Any] = {
-        "version": torchtex.__version__,
-        "command": "solid",
-        "options": kept,
-        "files": {name: sha256(path, "exemplar") for name, path in read.items()},
-    }
-    zs = _exemplars(exemplar)
-    layers = _maps(drawn, exemplar)
-    resume = None
-    if checkpoint is not None and checkpoint.exists():
-        resume = SolidCheckpoint.load(checkpoint)
-    common: dict[str, Any] = {
-        "maps": layers, "map_weight": map_weight, "r": r, "completeness": completeness,
-        "histogram": histogram, "seed": seed, "resume": resume,
-        "on_level": None if checkpoint is None else lambda state: state.save(checkpoint),
-    }  # fmt: skip
 
-    def make(on_step: "Callable[[SolidStep], None]") -> "Solid":
+    def make(watch: Watch) -> "Solid":
+        zs = _exemplars(exemplar)
+        layers = _maps(drawn, exemplar)
+        resume = None
+        if checkpoint is not None and checkpoint.exists():
+            resume = SolidCheckpoint.load(checkpoint)
+        common: dict[str, Any] = {
+            "maps": layers, "map_weight": map_weight, "r": r, "completeness": completeness,
+            "histogram": histogram, "seed": seed, "resume": resume, "on_step": watch,
+            "on_level": None if checkpoint is None else lambda state: state.save(checkpoint),
+        }  # fmt: skip
         if method == "kopf":
             plan = None if steps is None else solid_schedule(steps)
-            return kopf(zs, extent, schedule=plan, on_step=on_step, **common)
-        return skeletal_solid(zs, extent, octaves=octaves, refine=refine, on_step=on_step, **common)
+            return kopf(zs, extent, schedule=plan, **common)
+        return skeletal_solid(zs, extent, octaves=octaves, refine=refine, **common)
 
-    last: list[torch.Tensor] = []
-    with progress_bar(quiet) as watch:
+    outputs = Volumes(output, extent, bits, slices, report, checkpoint)
+    carry_out(context, outputs, read, make, threads=threads, keep_partial=keep_partial, quiet=quiet)
 
-        def on_step(step: "SolidStep") -> None:
-            last[:] = [step.volume]
-            watch(step)
 
-        try:
-            made = make(on_step)
-        except (KeyboardInterrupt, Exception) as error:
-            if not Interrupts.seen and not isinstance(error, KeyboardInterrupt):
-                raise
-            Interrupts.seen = True
-            if keep_partial and last:
-                save_volume(output, _enlarged(last[0], extent), bits=bits, name="output")
-                print(output)
-            raise KeyboardInterrupt from None
-    save_volume(output, made.volume, bits=bits, name="output")
-    about |= made.report()
-    if slices is not None:
-        images.save(slices, made.sheet(), metadata={"torchtex": json.dumps(about)}, name="slices")
-    if report is not None:
-        with images.atomic_write(report, name="report") as temporary:
-            temporary.write_text(json.dumps(about, indent=2) + "\n")
-    if checkpoint is not None:
-        checkpoint.unlink(missing_ok=True)
-    print(output)
+@dataclass(frozen=True)
+class Volumes:
+    """What a run that makes a volume writes.
+
+    Args:
+        output: the volume.
+        extent: depth, height and width of it.
+        bits: per value of it.
+        slices: picture of some slices, or None.
+        report: .json, or None.
+        checkpoint: file that is not needed any more once the volume is written, or None.
+    """
+
+    output: Path
+    extent: tuple[int, int, int]
+    bits: int
+    slices: Path | None = None
+    report: Path | None = None
+    checkpoint: Path | None = None
+
+    def check(self, read: Mapping[str, Path]) -> None:
+        """Refuses, before work starts, what cannot be written."""
+        from torchtex import image as images
+        from torchtex.volumes.files import check_volume_path
+
+        check_volume_path(self.output, bits=self.bits, name="output")
+        check_outputs(
+            (
+                ("slices", self.slices, images.SUFFIXES),
+                ("report", self.report, (".json",)),
+                ("checkpoint", self.checkpoint, (".npz",)),
+            ),
+            read.values(),
+        )
+
+    def write(self, result: "Solid", about: dict[str, Any]) -> None:
+        """Writes all of it, the picture of slices with what made it."""
+        from torchtex import image as images
+        from torchtex.volumes.files import save_volume
+
+        save_volume(self.output, result.volume, bits=self.bits, name="output")
+        if self.slices is not None:
+            told = {"torchtex": json.dumps(about)}
+            images.save(self.slices, result.sheet(), metadata=told, name="slices")
+        write_report(self.report, about)
+        if self.checkpoint is not None:
+            self.checkpoint.unlink(missing_ok=True)
+
+    def write_partial(self, progress: "SolidStep", about: dict[str, Any]) -> None:
+        """Writes the volume that there was, at full size."""
+        from torch.nn.functional import interpolate
+
+        from torchtex.volumes.files import save_volume
+
+        whole = interpolate(progress.volume[None], size=self.extent)[0]
+        save_volume(self.output, whole, bits=self.bits, name="output")
 
 
 def _extent(text: str) -> tuple[int, int, int]:
@@ -201,10 +209,3 @@ def _maps(drawn: list[str], names: list[str]) -> "list[torch.Tensor | None] | No
     loaded = {name: images.load(name, alpha=False, name="map").image for name in drawn}
     rest = iter(drawn)
     return [None if name == "none" else loaded[next(rest)] for name in names]
-
-
-def _enlarged(volume: "torch.Tensor", extent: tuple[int, int, int]) -> "torch.Tensor":
-    """A preview at full size."""
-    from torch.nn.functional import interpolate
-
-    return interpolate(volume[None], size=extent)[0]

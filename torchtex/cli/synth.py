@@ -284,9 +284,8 @@ def run(
             if not Interrupts.seen and not isinstance(error, KeyboardInterrupt):
                 raise
             Interrupts.seen = True
-            partial = watch.texture
-            if keep_partial and partial is not None:
-                whole = images.resize(partial, recipe.height_width)
+            if keep_partial and watch.last is not None:
+                whole = images.resize(watch.last.texture, recipe.height_width)
                 about["partial"] = True
                 save_picture(output, whole, recipe.bits, about)
                 print(output)
