@@ -129,6 +129,7 @@ FLOORS = (
         "recipes.planting",
         "recipes.solid_parts",
     ),
+    ("recipes.laying",),
     (
         "synthesize",
         "recipes.solid_result",

@@ -87,6 +87,21 @@ def test_a_pattern_is_continued() -> None:
     assert float(image[:, mask].std()) > 0.2
 
 
+def test_what_was_laid_before_is_laid_less() -> None:
+    dull = 0.45 + 0.1 * noise(1, 48, 20, seed=2)
+    image = torch.cat([noise(1, 48, 60), dull], 2)
+    mask = torch.zeros(48, 80, dtype=torch.bool)
+    mask[10:38, 10:46] = True
+    most, flat = [], []
+    for fresh in (0.0, 4.0):
+        done = complete(image, mask, patch=10, rim=0, fresh=fresh, poisson=False)
+        places = done.source_map[mask][:, 1:]
+        most.append(int(places.unique(dim=0, return_counts=True)[1].max()))
+        flat.append(float((places[:, 1] >= 60).double().mean()))
+    assert most[1] < most[0]
+    assert flat[1] < 0.8 * flat[0]
+
+
 def test_what_the_hole_holds_changes_nothing_and_threads_no_bit() -> None:
     image, mask = stripes(44, 48), holes("square")
     first = complete(image, mask, patch=10, tolerance=0.3, seed=5)
@@ -177,6 +192,7 @@ def test_bad_input_is_refused() -> None:
         (mask, {"search": "fast", "patch": 8}, "search='fast'"),
         (mask, {"rim": -1}, "rim=-1"),
         (mask, {"apart": -1}, "apart=-1"),
+        (mask, {"fresh": -0.5}, "fresh=-0.5"),
         (mask, {"tolerance": -0.1}, "tolerance=-0.1"),
         (mask, {"seed": -1}, "seed=-1"),
         (mask, {"source": stripes(channels=1)}, "source has 1 channels"),
