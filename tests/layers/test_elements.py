@@ -8,7 +8,7 @@ from torch import Tensor
 pytest.importorskip("skimage")
 pytest.importorskip("sklearn")
 
-from torchtex.layers.elements import Elements, find_elements
+from torchtex.layers.elements import Elements, bounded, find_elements
 
 SPOTS = ((12, 14, 5), (14, 40, 6), (34, 20, 7), (44, 46, 6), (30, 58, 5))
 
@@ -102,3 +102,28 @@ def test_labels_count_from_one() -> None:
     found = Elements(torch.tensor([[0, 2, 2], [1, 0, 0]]))
     assert found.areas.tolist() == [1, 2]
     assert found.centers().tolist() == [[1.0, 0.0], [0.0, 1.5]]
+
+
+def test_the_few_dark_spots_are_the_elements_and_not_the_large_light_rest() -> None:
+    image, _ = meadow(((10, 12, 6), (12, 26, 6), (24, 18, 6), (40, 44, 7), (30, 54, 6)))
+    light = (1 - image).mean(0, keepdim=True).expand(3, -1, -1)
+    found = find_elements(light)
+    assert found.labels[40, 44] > 0
+    assert found.labels[50, 10] == 0
+    assert found.cover < 0.3
+
+
+def test_typical_size_is_that_of_what_covers_most() -> None:
+    labels = torch.zeros(20, 40, dtype=torch.long)
+    labels[2:12, 2:12] = 1
+    labels[2:12, 20:30] = 2
+    assert Elements(labels).typical == pytest.approx(10.0)
+    labels[16, 35] = 3
+    assert Elements(labels).typical > 9.8
+    assert Elements(torch.zeros(4, 4, dtype=torch.long)).typical == 0.0
+
+
+def test_borders_to_the_ground_to_others_and_to_the_edge() -> None:
+    labels = torch.zeros(8, 12, dtype=torch.long)
+    labels[2:4, 2:4], labels[2:4, 4:6], labels[6:, 9:11] = 1, 2, 3
+    assert bounded(labels.numpy()).tolist() == pytest.approx([0.75, 0.75, 0.75])

@@ -195,16 +195,59 @@ def test_more_than_fits_says_how_many_fit() -> None:
 def test_bad_input_is_one_sentence() -> None:
     image, elements = meadow()
     full = Elements(torch.ones(48, 52, dtype=torch.long))
+    cut = Elements(torch.nn.functional.pad(torch.ones(8, 8, dtype=torch.long), (0, 44, 0, 40)))
     for words, given in (
         (r"amount=-1\.\.-1", {"amount": -1.0}),
         (r"amount=nan", {"amount": math.nan}),
         (r"amount is a map of \(4, 4\)", {"amount": torch.ones(4, 4)}),
         (r"gap=-1", {"amount": 2.0, "gap": -1}),
         (r"seed=-1", {"amount": 2.0, "seed": -1}),
-        (r"all are cut off", {"amount": 2.0, "elements": full}),
+        (r"cover 100 % .* for more; ask for at most 1", {"amount": 2.0, "elements": full}),
+        (r"all are cut off", {"amount": 2.0, "elements": cut}),
         (r"cover 100 % of the picture", {"amount": 0.0, "elements": full}),
         (r"elements are of a picture", {"amount": 0.0, "elements": Elements(full.labels[:5])}),
         (r"ground", {"amount": 0.0, "ground": torch.rand(1, 9, 9)}),
     ):
         with pytest.raises(ValueError, match=words):
             density(image, **({"elements": elements} | given))  # type: ignore[arg-type]
+
+
+# ------------------------------------------------------------------------------ heaps
+
+
+def heap(contrast: float) -> tuple[Tensor, Elements]:
+    """Light tiles in rows, and what looks much like them between, or is plain."""
+    row, col = torch.meshgrid(torch.arange(72), torch.arange(72), indexing="ij")
+    light = ((row // 6) % 4 == 0) & (col % 8 < 6)
+    between = 0.2 + contrast * ((row // 2 + col // 2) % 2).double()
+    image = torch.where(light, 0.9, between)[None] + 0.01 * noise(1, 72, 72)
+    number = (row // 24) * 9 + col // 8 + 1
+    return image.expand(3, -1, -1).contiguous(), Elements(torch.where(light, number, 0))
+
+
+@pytest.mark.parametrize("amount", [0.5, 1.5])
+def test_a_heap_has_no_ground_and_the_sentence_says_what_helps(amount: float) -> None:
+    image, elements = heap(0.3)
+    with pytest.raises(ValueError, match=r"lie close together, .*; .*give a picture of the ground"):
+        density(image, amount, elements=elements)
+    fewer = density(image, 0.5, elements=elements, ground=0.2 + 0.05 * noise(3, 40, 40))
+    assert fewer.settings["after"] == round(elements.count / 2)
+    assert density(image, 1.0, elements=elements).settings["after"] == elements.count
+
+
+def test_narrow_but_plain_ground_does() -> None:
+    image, elements = heap(0.0)
+    assert density(image, 0.5, elements=elements).settings["removed"] > 0
+
+
+def test_elements_that_others_may_hide_are_not_copied() -> None:
+    image, elements = meadow()
+    labels = elements.labels.clone()
+    labels[8:11, 15:20] = 5  # in front of the first
+    labels[9:11, 14] = 5
+    done = density(image, 1.6, elements=Elements(labels), turn=False, poisson=False)
+    new = done.patches > 0
+    rows, cols = done.field.positions[0][new][:, 1:].long().unbind(1)
+    copied = labels[rows, cols]
+    assert done.settings["added"] == 3
+    assert not bool(((copied == 1) | (copied == 5)).any())

@@ -2,8 +2,8 @@
 
 Colours are put into a few clusters. Every choice of clusters, as the colours of the elements, gives
 regions, which are cut apart at their waists by a watershed of the distance to their borders. The
-choice whose pieces are most like elements is kept: convex, bounded by the ground rather than by
-each other or by the edge of the picture, and not mere specks.
+choice whose pieces are most like elements is kept: convex, of other colours than the ground, with
+it rather than each other or the edge of the picture beside them, and not mere specks.
 
 Source: the measure is ours; Meyer 1994 for the watershed, Shen et al. 2010 for what it is for.
 """
@@ -58,6 +58,12 @@ class Elements:
     def cover(self) -> float:
         """Share of the picture that they cover."""
         return float((self.labels > 0).double().mean())
+
+    @property
+    def typical(self) -> float:
+        """Side of a square as large as most of what they cover: large ones count for more."""
+        areas = self.areas.double()
+        return float((areas.square().sum() / areas.sum()).sqrt()) if self.count else 0.0
 
     def mask(self, number: int) -> Bool[Tensor, "h w"]:
         """Pixels of one of them, counted from 1."""
@@ -148,11 +154,12 @@ def find_elements(
             )
         return Elements(torch.from_numpy(labels).long())
     best, found = 0.0, None
-    for region in _choices(_clusters(image, colors, seed), colors):
+    seen = _colours(image)
+    for region in _choices(_clusters(seen, colors, seed), colors):
         if at is not None and not region[at]:
             continue
         labels = _split(region, smallest)
-        score = _likeness(labels, region)
+        score = _likeness(labels, region, seen)
         if score > best:
             best, found = score, labels
     if found is None:
@@ -163,19 +170,25 @@ def find_elements(
     return Elements(torch.from_numpy(found).long())
 
 
-def _clusters(image: Tensor, colors: int, seed: int) -> NDArray[Any]:
-    """(h, w): number of the cluster of each pixel's colour."""
+def _colours(image: Tensor) -> NDArray[Any]:
+    """(h, w, c): a little smoothed, in Lab where there are three channels."""
     from kornia.color import rgb_to_lab
     from kornia.filters import gaussian_blur2d
-    from sklearn.cluster import KMeans
 
     with threads(1):
         soft = gaussian_blur2d(image.detach().cpu().double()[None], (5, 5), (1.0, 1.0))
         lab = rgb_to_lab(soft)[0] if len(image) == 3 else 100 * soft[0]
-    pixels = lab.flatten(1).T.numpy()
+    return np.asarray(lab.permute(1, 2, 0).numpy())
+
+
+def _clusters(seen: NDArray[Any], colors: int, seed: int) -> NDArray[Any]:
+    """(h, w): number of the cluster of each pixel's colour."""
+    from sklearn.cluster import KMeans
+
+    pixels = seen.reshape(-1, seen.shape[2])
     step = max(1, len(pixels) // _SAMPLES)
     fitted = KMeans(colors, n_init=4, random_state=seed).fit(pixels[::step])
-    return fitted.predict(pixels).reshape(image.shape[1:])
+    return np.asarray(fitted.predict(pixels).reshape(seen.shape[:2]))
 
 
 def _choices(clusters: NDArray[Any], colors: int) -> Iterator[NDArray[Any]]:
@@ -206,17 +219,31 @@ def _split(region: NDArray[Any], least: int) -> NDArray[Any]:
     return np.asarray(number[pieces])
 
 
-def _likeness(labels: NDArray[Any], region: NDArray[Any]) -> float:
+def _likeness(labels: NDArray[Any], region: NDArray[Any], seen: NDArray[Any]) -> float:
     """How much pieces are like elements, from 0 to 1."""
     from skimage.measure import regionprops
 
     count = int(labels.max())
-    if not count:
+    if not count or bool(labels.all()):
         return 0.0
     areas = np.bincount(labels.ravel(), minlength=count + 1)[1:]
     if areas.max() > _LARGEST * labels.size:
         return 0.0
     solid = np.array([part.solidity for part in regionprops(labels)])
+    share, covered = areas / areas.sum(), areas.sum() / labels.size
+    alike = float((share * solid**2 * bounded(labels) ** 3).sum())
+    pure = areas.sum() / max(region.sum(), areas.sum())
+    return float(alike * pure * covered**0.25 * _contrast(labels > 0, seen))
+
+
+def bounded(labels: NDArray[Any]) -> NDArray[Any]:
+    """The part of each element's border that the ground is beyond.
+
+    Example:
+        >>> bounded(np.array([[0, 1, 2, 0]])).tolist()  # on three sides each is no ground
+        [0.25, 0.25]
+    """
+    count = int(labels.max())
     wide = np.pad(labels, 1, constant_values=-1)
     ground, border = np.zeros(count + 1), np.zeros(count + 1)
     for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
@@ -224,7 +251,12 @@ def _likeness(labels: NDArray[Any], region: NDArray[Any]) -> float:
         edge = (beside != labels) & (labels > 0)
         border += np.bincount(labels[edge], minlength=count + 1)
         ground += np.bincount(labels[edge & (beside == 0)], minlength=count + 1)
-    bounded = ground[1:] / np.maximum(border[1:], 1)
-    share = areas / areas.sum()
-    pure = areas.sum() / max(region.sum(), areas.sum())
-    return float((share * solid**2 * bounded).sum() * pure * (areas.sum() / labels.size) ** 0.25)
+    return np.asarray(ground[1:] / np.maximum(border[1:], 1))
+
+
+def _contrast(inside: NDArray[Any], seen: NDArray[Any]) -> float:
+    """The part of the variance of colours that lies between elements and ground."""
+    ours, theirs = seen[inside], seen[~inside]
+    between = np.square(ours.mean(0) - theirs.mean(0)).sum()
+    within = ours.var(0).sum() + theirs.var(0).sum()
+    return float(between / max(between + within, 1e-12))

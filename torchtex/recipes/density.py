@@ -7,6 +7,7 @@ place where it touches no other, is cut out by a min-cut and levelled by a Poiss
 Source: Shen et al. 2010, section 5.4 and figure 12; how elements are chosen and placed is ours.
 """
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -36,6 +37,9 @@ _RIM = 3  # pixels around an element that are not taken for ground
 _DRIFT = 12  # pixels, from which on a change of level is no matter of a seam
 _BAND = 4  # pixels around a new element where the cut decides
 _LARGEST = 1000.0
+_ROOM = 0.6  # side of the patches that ground must have room for, of a typical element's
+_MUCH = 0.6  # of the picture that is away from elements
+_PLAIN = 0.75  # mean step from pixel to pixel on a plain ground, of that of the picture
 
 
 def density(
@@ -75,7 +79,8 @@ def density(
 
     Raises:
         ValueError: an amount that is none, or more than fits, with the number that does; elements
-            of another size; no ground to take patches from, or no whole element to copy.
+            of another size, or so close together that there is no ground between them, as in a
+            heap of pebbles; no whole element to copy.
         ImportError: without `elements`, if the extra `design` is not installed.
 
     Example:
@@ -106,6 +111,8 @@ def density(
         stays = elements.labels.cpu().clone()
         stays[torch.isin(stays, torch.tensor(gone, dtype=torch.long))] = 0
         more = (factor - 1).clamp(min=0)
+        if bool(more.any()):
+            _check_room(elements, image)
     else:
         gone, stays, more = [], torch.zeros(size, dtype=torch.long), factor
     plants = planted(elements, stays, more, gap, turn, generator)
@@ -249,14 +256,42 @@ def _level(levelled: Tensor, plain: Tensor) -> Tensor:
 
 
 def _free(elements: Elements, image: Tensor) -> Tensor:
-    """Where the ground is; some of it at least."""
+    """Where the ground is, if it is more than gaps between elements."""
     free = distance(elements.labels.to(image.device) > 0, _RIM) > _RIM
-    if not _patch(free):
+    if not _open(free, elements, image):
         raise ValueError(
-            f"elements cover {100 * elements.cover:.0f} % of the picture, and no ground is "
-            f"left that a patch of {_PATCHES[-1]} pixels fits on; give a picture of the ground"
+            f"elements cover {100 * elements.cover:.0f} % of the picture and lie close together, "
+            "with no ground between them to put in their place; give a picture of the ground"
         )
     return free
+
+
+def _check_room(elements: Elements, image: Tensor) -> None:
+    """More of them need ground between those that there are."""
+    free = distance(elements.labels.to(image.device) > 0, _RIM) > _RIM
+    if elements.count and not _open(free, elements, image):
+        raise ValueError(
+            f"amount: elements cover {100 * elements.cover:.0f} % of the picture and lie close "
+            "together, with no ground between them for more; ask for at most 1, or give a picture "
+            "of the ground and a size"
+        )
+
+
+def _open(free: Tensor, elements: Elements, image: Tensor) -> bool:
+    """Whether there is a ground: room for patches, and either much of it or little in it.
+
+    In a heap of pebbles, what lies between those of one colour is other pebbles.
+    """
+    if _patch(free) < min(_PATCHES[0], max(_PATCHES[-1], math.ceil(_ROOM * elements.typical))):
+        return False
+    if float(free.double().mean()) >= _MUCH:
+        return True
+    steps, inside = [], []
+    for axis in (0, 1):
+        step, n = image.detach().diff(dim=axis + 1).abs().mean(0), free.shape[axis] - 1
+        steps.append(step.flatten())
+        inside.append(step[free.narrow(axis, 0, n) & free.narrow(axis, 1, n)])
+    return float(torch.cat(inside).mean()) <= _PLAIN * float(torch.cat(steps).mean())
 
 
 def _patch(free: Tensor) -> int:

@@ -7,12 +7,13 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
-from torchtex.layers.elements import Elements
+from torchtex.layers.elements import Elements, bounded
 from torchtex.patches import box_sums, summed_area
 from torchtex.recipes.strokes import Stroke, distance
 
 _TRIES = (0, 0, 1, 1, 2, 2)  # anywhere; close to each other; and close to the border too
 _NEAR = 3  # pixels
+_FREE = 0.9  # of an element's border that lies on the ground, or others may hide part of it
 
 
 @dataclass(frozen=True)
@@ -111,7 +112,7 @@ def planted(
     wanted = round(elements.count * float(more.sum()) / elements.labels.numel())
     if not wanted:
         return []
-    models = elements.whole().tolist()
+    models = _models(elements)
     if not models:
         raise ValueError(
             "elements: all are cut off by the edge of the picture, and no whole one can be added; "
@@ -129,6 +130,14 @@ def planted(
         f"amount: {most} of {wanted} new elements fit, {there + most} in all, before the picture "
         "is full; ask for less, or for a smaller gap"
     )
+
+
+def _models(elements: Elements) -> list[int]:
+    """Whole elements; those that lie free on the ground, if there are any."""
+    whole = elements.whole()
+    free = torch.from_numpy(bounded(elements.labels.cpu().numpy())) >= _FREE
+    alone = whole[free[whole - 1]]
+    return (alone if len(alone) else whole).tolist()
 
 
 def _try(
