@@ -10,8 +10,9 @@ from torch import Tensor
 from torchtex.layers.deform import Deformation, Spread
 from torchtex.layers.plans import Chaos, Operation, Plan
 from torchtex.layers.segment import Segmentation, segment
+from torchtex.recipes.carried import onto
 from torchtex.recipes.design import design, designs
-from torchtex.recipes.design_parts import ENLARGE, Enlarge, Layering, onto, whole_deformed
+from torchtex.recipes.design_parts import ENLARGE, Enlarge, Layering, whole_deformed
 from torchtex.recipes.layered import Filling, layered
 from torchtex.recipes.montage import Montage, Stage
 from torchtex.sources import copied
@@ -113,12 +114,9 @@ def test_designs_are_read_from_the_exemplars(
     assert made.texture.shape == (3, 60, 56)
     assert torch.equal(made.apply(zs), made.texture)
     if overlap is not None:
-        steps = [
-            float((made.texture - made.texture.roll(1, axis)).abs().mean((0, 3 - axis))[0])
-            for axis in (1, 2)
-        ]
-        inside = float(made.texture.diff(dim=1).abs().mean())
-        assert max(steps) < 2.5 * inside
+        for axis in (1, 2):
+            steps = (made.texture - made.texture.roll(1, axis)).abs().mean((0, 3 - axis))
+            assert float(steps[0]) <= float(steps[1:].max())  # no worse than some line inside
 
 
 def test_wavelets_make_a_design_of_the_set(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,7 +23,7 @@ from torch import Tensor
 
 from torchtex.cuts.laplace import bounding_box
 from torchtex.cuts.mincut import MinCut, default_solver
-from torchtex.cuts.seams import cut_seam
+from torchtex.cuts.seams import FLOOR, cut_seam
 from torchtex.layers.deform import Deformed
 from torchtex.patches import box_sums, summed_area
 
@@ -40,12 +40,18 @@ class Part:
         at: row and column of its first pixel; it may hang out of the canvas.
         exemplar: number of the picture that it is from.
         whole: it is shown up to its border, however small it is, where none lies over it.
+        core: the pixels of the mask that are its own; others, a collar around them, are only
+            there for seams to run through. None for all of them.
+        firm: the pixels that a seam may not run through, whatever lies there, if they are farther
+            than the band from the core's border. None for all of them.
     """
 
     deformed: Deformed
     at: tuple[int, int] = (0, 0)
     exemplar: int = 0
     whole: bool = False
+    core: Bool[Tensor, "h w"] | None = None
+    firm: Bool[Tensor, "h w"] | None = None
 
 
 @dataclass(frozen=True)
@@ -74,16 +80,18 @@ def stitch(
     *,
     band: int = 4,
     narrowest: int = 5,
+    gradient: bool = False,
     solver: MinCut | None = None,
 ) -> Stitched:
     """Parts laid over each other, the first one lowest, joined along seams of least cost.
 
     Args:
         size: (height, width) of the canvas.
-        band: pixels inside the border of a part that the seam may run through; of a part that is
+        band: pixels inside the border of a core that the seam may run through; of a part that is
             narrower, half of them, and one that has no inside then shows where it is cheap to.
         narrowest: side of a square; what is shown of a part is made of such squares, none of them
             alone or in a handful, and the rest of it is a hole.
+        gradient: seams cost less along edges of the pictures, where they are hardly seen.
         solver: of the min-cuts; None for the first one that is installed.
 
     Raises:
@@ -115,9 +123,12 @@ def stitch(
             continue
         old, new = texture[:, window[0], window[1]], part.deformed.texture[:, own[0], own[1]]
         known = owner[window] >= 0
-        shown = mask
+        core = mask if part.core is None else part.core[own] & mask
+        shown = core
         if bool((known & mask).any()):
-            shown = _cut(old, new, known, mask, 0 if part.whole else band, solver)
+            firm = _inner(core, 0 if part.whole else band)
+            firm = firm if part.firm is None else firm & part.firm[own]
+            shown = _cut(old, new, known, core | (known & mask), firm, gradient, solver)
         source = _positions(part, own)
         texture[:, window[0], window[1]] = torch.where(shown, new, old)
         positions[window] = torch.where(shown[..., None], source, positions[window])
@@ -181,20 +192,27 @@ def _positions(part: Part, own: Index) -> Float[Tensor, "h w 3"]:
 
 
 def _cut(
-    old: Tensor, new: Tensor, known: Tensor, mask: Tensor, band: int, solver: MinCut
-) -> Bool[Tensor, "h w"]:
-    """Which pixels a new part covers."""
+    old: Tensor, new: Tensor, known: Tensor, mask: Tensor, firm: Tensor, gradient: bool,
+    solver: MinCut,
+) -> Bool[Tensor, "h w"]:  # fmt: skip
+    """Which pixels a new part covers: at least those that are firm, or that no other part has."""
     both = known & mask
     apart = torch.where(both, (old - new).square().sum(0).sqrt(), 0)
     costs = []
     for axis in (1, 0):
         count = both.shape[axis] - 1
-        some = both.narrow(axis, 0, count).to(apart) + both.narrow(axis, 1, count)
+        pairs = [both.narrow(axis, start, count) for start in (0, 1)]
+        some = pairs[0].to(apart) + pairs[1]
         # a pixel beyond the overlap has one picture only: its neighbour counts for it
         total = apart.narrow(axis, 0, count) + apart.narrow(axis, 1, count)
-        costs.append(total * 2 / some.clamp(min=1))
-    inside = _inner(mask, band)
-    second = mask & (~known | inside)
+        total = total * 2 / some.clamp(min=1)
+        if gradient:
+            slopes = [x.diff(dim=axis + 1).square().sum(0).sqrt() for x in (old, new)]
+            inner = pairs[0] & pairs[1]
+            slope = torch.where(inner, slopes[0] + slopes[1], 0)
+            total = total / (2 * slope + FLOOR)
+        costs.append(total)
+    second = mask & (~known | firm)
     labels = cut_seam(costs[0], costs[1], known & ~mask, second, solver=solver)
     return labels & mask
 

@@ -21,18 +21,22 @@ import torch
 from torchtex.inputs import Exemplars, check_seed, usable_exemplars
 from torchtex.layers.deform import Spread
 from torchtex.layers.segment import Segmentation
-from torchtex.recipes.cyclic import cyclic
+from torchtex.recipes.carried import itself
 from torchtex.recipes.design_parts import (
     ENLARGE,
     Enlarge,
     Layering,
+    bases_of,
+    closed,
     deformed,
     enlarged,
+    finished,
     layers_of,
-    onto,
+    taste_of,
 )
 from torchtex.recipes.layered import part_seed
 from torchtex.recipes.montage import Montage, Stage
+from torchtex.recipes.shares import share
 
 
 def design(
@@ -87,20 +91,33 @@ def design(
     made = layers_of(zs, layering) if segmentations is None else list(segmentations)
     extra = 0 if cyclic_overlap is None else cyclic_overlap
     extent = (size[0] + extra, size[1] + extra)
-    watch = _Watch(on_step, textures + 1 + (extra > 0))
+    taste = taste_of(made, layering.variety, seed)
+    part = 1 / (textures + 3)
     if enlarge == "layers":
-        whole = deformed(zs, made, extent, layering, spread, poisson, seed, watch.tell)
+        bases = bases_of(zs, layering, spread, seed, False)
+        whole = deformed(zs, made, bases, extent, layering, seed, share(on_step, 0.0, 1 - 2 * part))
     else:
-        parts = [
-            deformed(zs, made, None, layering, spread, poisson, part_seed(seed, n), watch.next())
-            for n in range(textures)
-        ]
-        whole = enlarged(zs, parts, extent, enlarge, poisson, seed, watch.next())
-    if extra:
-        closed = cyclic(
-            whole.texture, overlap=(extra, extra), poisson=poisson, on_step=watch.next()
+        bases, parts = [], []
+        for n in range(textures):
+            own = part_seed(seed, n)
+            mine = bases_of(zs, layering, spread, own, True)
+            tell = share(on_step, n * part, part)
+            parts.append(deformed(zs, made, mine, None, layering, own, tell))
+            bases += mine if spread is not None else []
+        bases = bases or [itself(zs, n) for n in range(len(zs))]
+    finish = partial(finished, zs=zs, bases=bases, layering=layering, poisson=poisson,
+                     taste=taste, seed=seed)  # fmt: skip
+    if enlarge == "wavelet":  # its pixels are new, and have no seams
+        parts = [finish(one) for one in parts]
+        whole = enlarged(
+            zs, parts, extent, enlarge, seed, share(on_step, textures * part, 2 * part)
         )
-        whole = onto(closed, [whole], zs, closed.texture if poisson else None)
+        whole = closed(whole, zs, extra, solved=True) if extra else whole
+    else:
+        if enlarge == "graphcut":
+            tell = share(on_step, textures * part, part)
+            whole = enlarged(zs, parts, extent, enlarge, seed, tell)
+        whole = finish(whole, overlap=extra, on_step=share(on_step, 1 - 2 * part, 2 * part))
     settings = {
         "recipe": "design", "size": list(size), "layering": repr(layering),
         "spread": repr(spread), "textures": textures, "enlarge": enlarge,
@@ -161,7 +178,7 @@ def designs(
         for number in range(count)
     ]  # fmt: skip
     if workers == 1 or count == 1:
-        return [job(on_step=_Watch(on_step, count, n).tell) for n, job in enumerate(jobs)]
+        return [job(on_step=share(on_step, n / count, 1 / count)) for n, job in enumerate(jobs)]
     found = []
     with ProcessPoolExecutor(min(workers, count), get_context("spawn")) as pool:
         waiting = [pool.submit(_alone, job) for job in jobs]
@@ -181,25 +198,6 @@ def _alone(job: Callable[[], Montage]) -> Montage:
     """In a process of its own, with one thread, since there are others."""
     torch.set_num_threads(1)
     return job()
-
-
-class _Watch:
-    """Tells `on_step` of steps of one part after another."""
-
-    def __init__(
-        self, on_step: Callable[[Stage], None] | None, count: int, number: int = 0
-    ) -> None:
-        self.on_step, self.count, self.number = on_step, count, number
-
-    def tell(self, stage: Stage) -> None:
-        if self.on_step is not None:
-            done = min(1.0, (self.number + stage.done) / self.count)
-            self.on_step(Stage(done, stage.note, stage.texture, stage.detail))
-
-    def next(self) -> Callable[[Stage], None]:
-        part = _Watch(self.on_step, self.count, self.number)
-        self.number += 1
-        return part.tell
 
 
 def _check(

@@ -43,6 +43,7 @@ KNOWN: Mapping[str, Mapping[str, str]] = {
         "count": "whole", "size": "pair", "layers": "whole", "method": "method",
         "combined": "whole", "iterations": "whole", "map": "map", "patch": "whole",
         "search": "search", "order": "order", "cyclic": "whole", "poisson": "flag",
+        "variety": "number", "turns": "flag",
     },
 }  # fmt: skip
 """Stages, and what may be set in each."""

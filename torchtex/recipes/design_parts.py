@@ -5,10 +5,11 @@ design by energy optimization, section 3.1.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 import torch
+import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
@@ -17,17 +18,23 @@ from torchtex.layers.deform import Deformation, Spread, deform
 from torchtex.layers.plans import Chaos, Plan
 from torchtex.layers.segment import Method, Segmentation, segment
 from torchtex.quadratic import threads
+from torchtex.recipes.carried import itself, onto, shapes_of
 from torchtex.recipes.completion import complete
+from torchtex.recipes.cyclic import cyclic
 from torchtex.recipes.graphcut import graphcut
-from torchtex.recipes.layered import Filling, layered
+from torchtex.recipes.layered import Filling, layered, part_seed, things_of
+from torchtex.recipes.mending import Mending, mended
 from torchtex.recipes.montage import Montage, Stage
+from torchtex.recipes.shares import share
 from torchtex.result import Progress
-from torchtex.sources import copied, pixel_places
+from torchtex.sources import copied
 from torchtex.synthesize import synthesize
 
 Enlarge = Literal["graphcut", "wavelet", "layers"]
 ENLARGE: tuple[Enlarge, ...] = ("graphcut", "wavelet", "layers")
-_NEAR = 1.6  # pixels between the sources of neighbours that are taken to be one piece
+_PLACE = 24  # pixels of an exemplar that are liked alike
+_LAYER = 0.5  # how much a layer is liked, beside a place
+_TASTE = 500_000  # number of the part of a design's seed that its taste is drawn with
 
 
 @dataclass(frozen=True)
@@ -39,8 +46,14 @@ class Layering:
         chaos: how operations are drawn.
         plan: operations, instead of drawn ones, for every piece of the exemplar; for one texture
             of the exemplar's size.
-        children, band: of `layered`.
+        children, band, collar: of `layered`.
         filling: how holes are completed.
+        mending: how seams are mended after that.
+        variety: how much a design prefers some layers to others when it chooses among pieces that
+            fit: 0 shows all of them alike, so designs differ in their arrangement alone.
+
+    Raises:
+        ValueError: a variety outside 0..10.
 
     Example:
         >>> Layering(layers=4).method
@@ -53,7 +66,14 @@ class Layering:
     plan: Plan | None = None
     children: bool = True
     band: int = 6
+    collar: int = 6
     filling: Filling = field(default_factory=Filling)
+    mending: Mending = field(default_factory=Mending)
+    variety: float = 0.4
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.variety <= 10:
+            raise ValueError(f"variety={self.variety} must lie in 0..10; 0 is none")
 
 
 def layers_of(zs: Sequence[Tensor], layering: Layering) -> list[Segmentation]:
@@ -68,43 +88,96 @@ def layers_of(zs: Sequence[Tensor], layering: Layering) -> list[Segmentation]:
     return [segment(z, layering.layers, method=layering.method) for z in zs]
 
 
+def taste_of(
+    segmentations: Sequence[Segmentation], variety: float, seed: int
+) -> list[Float[Tensor, "_ _"]] | None:
+    """For every exemplar, what matches cost there is multiplied by; its layers differ by chance.
+
+    Example:
+        >>> labels = torch.tensor([[0, 1]])
+        >>> taste_of([Segmentation(labels, labels)], 0.0, 0) is None
+        True
+        >>> taste_of([Segmentation(labels, labels)], 1.0, 0)[0].shape
+        torch.Size([1, 2])
+    """
+    if variety == 0:
+        return None
+    generator = torch.Generator().manual_seed(part_seed(seed, _TASTE))
+    found = []
+    for made in segmentations:
+        likes = torch.randn(made.count, generator=generator, dtype=torch.float64)
+        size = made.labels.shape
+        coarse = [max(2, round(n / _PLACE)) for n in size]
+        places = torch.randn(1, 1, *coarse, generator=generator, dtype=torch.float64)
+        with threads(1):
+            field = F.interpolate(places, size, mode="bicubic", align_corners=True)[0, 0]
+        liked = _standard(field) + _LAYER * _standard(likes[made.labels.cpu()])
+        found.append(torch.exp(-variety * liked).to(made.labels.device))
+    return found
+
+
+def _standard(x: Tensor) -> Tensor:
+    return (x - x.mean()) / x.std(correction=0).clamp(min=1e-6)
+
+
+def bases_of(
+    zs: Sequence[Tensor],
+    layering: Layering,
+    spread: Spread | None,
+    seed: int,
+    single: bool,
+) -> list[Montage]:
+    """What layers are taken from: the exemplars, deformed as a whole if there is a spread.
+
+    Args:
+        single: one of them, which is drawn, rather than all.
+
+    Example:
+        >>> made = bases_of([torch.rand(1, 40, 40)], Layering(), Spread(mirror=1.0), 0, True)
+        >>> made[0].source_map[0, 0].tolist()
+        [0, 0, 39]
+    """
+    generator = torch.Generator().manual_seed(seed)
+    order = list(range(len(zs)))
+    if single:
+        order = [int(torch.randint(len(zs), (1,), generator=generator))]
+    if spread is None:
+        return [itself(zs, n) for n in order]
+    return [whole_deformed(zs, n, spread.draw(generator), layering.filling, seed) for n in order]
+
+
 def deformed(
     zs: Sequence[Tensor],
     segmentations: Sequence[Segmentation],
+    bases: Sequence[Montage],
     size: tuple[int, int] | None,
     layering: Layering,
-    spread: Spread | None,
-    poisson: bool,
     seed: int,
     on_step: Callable[[Stage], None] | None = None,
 ) -> Montage:
-    """A texture with deformed layers, of exemplars that are deformed as a whole before, or not.
+    """A texture of deformed layers of the exemplars, or of what they have become as a whole.
 
     Args:
-        size: None for a texture of the size of an exemplar, which is drawn where there are several.
+        bases: of `bases_of`; those that are an exemplar have its layers.
+        size: None for that of the first one.
 
     Example:
         >>> z = torch.zeros(1, 48, 48) + 0.1 * torch.rand(1, 48, 48)
         >>> z[:, 10:24, 12:30] += 0.8
-        >>> given = Layering(2), Spread(rotate=(-9.0, 9.0)), False, 0
-        >>> deformed([z], layers_of([z], given[0]), None, *given).texture.shape
+        >>> how = Layering(2)
+        >>> bases = bases_of([z], how, Spread(rotate=(-9.0, 9.0)), 0, True)
+        >>> deformed([z], layers_of([z], how), bases, None, how, 0).texture.shape
         torch.Size([1, 48, 48])
     """
-    generator = torch.Generator().manual_seed(seed)
-    pairs = list(zip(zs, segmentations, strict=True))
-    if size is None:
-        number = int(torch.randint(len(pairs), (1,), generator=generator))
-        order = [number]
-    else:
-        order = list(range(len(pairs)))
-    bases = [itself(zs, n) for n in order]
-    made = [segmentations[n] for n in order]
-    if spread is not None:
-        bases, made = [], []
-        for n in order:
-            drawn = spread.draw(generator)
-            bases.append(whole_deformed(zs, n, drawn, layering.filling, seed))
-            made.append(segment(bases[-1].texture, layering.layers, method=layering.method))
+    made = []
+    for base in bases:
+        number = int(base.source_map[0, 0, 0])
+        known = torch.equal(base.texture, zs[number])
+        made.append(
+            segmentations[number]
+            if known
+            else segment(base.texture, layering.layers, method=layering.method)
+        )
     done = layered(
         [base.texture for base in bases],
         made,
@@ -113,12 +186,12 @@ def deformed(
         plan=layering.plan,
         children=layering.children,
         band=layering.band,
+        collar=layering.collar,
         filling=layering.filling,
-        poisson=poisson,
         seed=seed,
         on_step=on_step,
     )
-    return onto(done, bases, zs, done.texture if poisson else None)
+    return onto(done, bases, zs, None)
 
 
 def whole_deformed(
@@ -136,7 +209,7 @@ def whole_deformed(
     made = deform(z, deformation)
     positions = made.field.positions[len(made.field.positions) // 2].float()
     nothing = torch.zeros(made.mask.shape, dtype=torch.long, device=z.device)
-    shapes = _shapes([z])
+    shapes = shapes_of([z])
     done = Montage(made.texture, copied(positions, shapes), nothing, 0.0, seed, {})
     if not bool(made.mask.all()):
         done = complete(
@@ -152,7 +225,6 @@ def enlarged(
     parts: Sequence[Montage],
     size: tuple[int, int],
     enlarge: Enlarge,
-    poisson: bool,
     seed: int,
     on_step: Callable[[Stage], None] | None = None,
 ) -> Montage:
@@ -161,13 +233,12 @@ def enlarged(
     Example:
         >>> z = torch.rand(3, 32, 32)
         >>> part = whole_deformed([z], 0, Deformation(mirror=True), Filling())
-        >>> enlarged([z], [part], (40, 50), "graphcut", False, 0).texture.shape
+        >>> enlarged([z], [part], (40, 50), "graphcut", 0).texture.shape
         torch.Size([3, 40, 50])
     """
     images = [part.texture for part in parts]
     if enlarge == "graphcut":
-        made = graphcut(images, size, poisson=poisson, seed=seed, on_step=on_step)
-        return onto(made, parts, zs, made.texture)
+        return onto(graphcut(images, size, seed=seed, on_step=on_step), parts, zs, None)
 
     def tell(progress: Progress) -> None:
         if on_step is not None:
@@ -176,66 +247,61 @@ def enlarged(
     solved = synthesize(images, size, feature=Wavelets(), seed=seed, on_step=tell)
     places = solved.source_map
     labels = places[..., 0]
-    made = Montage(solved.texture, copied(places, _shapes(images)), labels, 0.0, seed, {})
+    made = Montage(solved.texture, copied(places, shapes_of(images)), labels, 0.0, seed, {})
     return onto(made, parts, zs, solved.texture)
 
 
-def onto(
-    made: Montage, parts: Sequence[Montage], zs: Sequence[Tensor], texture: Tensor | None
+def finished(
+    whole: Montage,
+    zs: Sequence[Tensor],
+    bases: Sequence[Montage],
+    layering: Layering,
+    *,
+    overlap: int = 0,
+    poisson: bool = False,
+    taste: Sequence[Float[Tensor, "_ _"]] | None = None,
+    seed: int = 0,
+    on_step: Callable[[Stage], None] | None = None,
 ) -> Montage:
-    """A montage of montages as one of exemplars; its pixels are read from them, or given.
+    """A texture closed to a tile, if there is an overlap, and its seams mended.
 
-    Between pixels of a part its sources are interpolated where they lie beside each other, so
-    that nothing is resampled twice.
+    Things of a layered texture stay where they fit.
 
-    Example:
-        >>> z = torch.rand(1, 8, 8)
-        >>> part = whole_deformed([z], 0, Deformation(mirror=True), Filling())
-        >>> twice = whole_deformed([part.texture], 0, Deformation(mirror=True), Filling())
-        >>> torch.equal(onto(twice, [part], [z], None).texture, z)
-        True
-    """
-    outer = made.field.positions[0]
-    found = torch.zeros(outer.shape, device=outer.device)
-    for number, part in enumerate(parts):
-        here = outer[..., 0] == number
-        found[here] = _through(part.field.positions[0].float(), outer[here][:, 1:])
-    nearest = found.round()
-    field = copied(nearest.long() if torch.equal(nearest, found) else found, _shapes(zs))
-    with threads(1):
-        texture = field.apply(list(zs)) if texture is None else texture
-    return replace(made, texture=texture, field=field)
-
-
-def _through(inner: Float[Tensor, "h w 3"], places: Tensor) -> Float[Tensor, "n 3"]:
-    """The sources of places in a part, between its pixels too."""
-    nearest = places.round().long()
-    exact = inner[nearest[:, 0], nearest[:, 1]]
-    if not places.is_floating_point():
-        return exact
-    limit = nearest.new_tensor(inner.shape[:2]) - 1
-    low = places.floor().long()
-    high = torch.minimum(low + 1, limit)
-    down, right = (places - low).T[..., None]
-    corners = [inner[a[:, 0], b[:, 1]] for a in (low, high) for b in (low, high)]
-    mixed = (corners[0] * (1 - right) + corners[1] * right) * (1 - down)
-    mixed = mixed + (corners[2] * (1 - right) + corners[3] * right) * down
-    apart = torch.stack([(corner - exact).abs().amax(1) for corner in corners]).amax(0)
-    return torch.where((apart < _NEAR)[:, None] & ((places != nearest).any(1, True)), mixed, exact)
-
-
-def itself(zs: Sequence[Tensor], number: int) -> Montage:
-    """An exemplar as a montage of itself.
+    Args:
+        bases: what pieces for mending are taken from.
 
     Example:
-        >>> z = torch.rand(1, 4, 4)
-        >>> torch.equal(itself([z], 0).apply(z), z)
-        True
+        >>> z = torch.rand(3, 40, 40)
+        >>> done = finished(itself([z], 0), [z], [itself([z], 0)], Layering(), overlap=8)
+        >>> done.texture.shape
+        torch.Size([3, 32, 32])
     """
-    z = zs[number]
-    places = torch.nn.functional.pad(pixel_places(z.shape[1:], z.device), (1, 0), value=number)
-    return Montage(z, copied(places, _shapes(zs)), torch.zeros_like(places[..., 0]), 0.0, 0, {})
+    held = things_of(whole) if whole.settings.get("recipe") == "layered" else None
+    if overlap:
+        whole, held = closed(whole, zs, overlap, share(on_step, 0.0, 0.3)), None
+    return mended(
+        whole, zs, layering.mending, held=held, looks=bases, taste=taste, periodic=overlap > 0,
+        poisson=poisson, seed=seed, on_step=share(on_step, 0.3, 0.7),
+    )  # fmt: skip
 
 
-def _shapes(zs: Sequence[Tensor]) -> list[tuple[int, int]]:
-    return [(z.shape[1], z.shape[2]) for z in zs]
+def closed(
+    whole: Montage,
+    zs: Sequence[Tensor],
+    overlap: int,
+    on_step: Callable[[Stage], None] | None = None,
+    *,
+    solved: bool = False,
+) -> Montage:
+    """A texture made to tile, by seams in an overlap.
+
+    Args:
+        solved: its pixels are a solver's, not those of its sources.
+
+    Example:
+        >>> z = torch.rand(3, 40, 40)
+        >>> closed(itself([z], 0), [z], 8).texture.shape
+        torch.Size([3, 32, 32])
+    """
+    done = cyclic(whole.texture, overlap=(overlap, overlap), poisson=False, on_step=on_step)
+    return onto(done, [whole], zs, done.texture if solved else None)

@@ -5,7 +5,7 @@ So a stage is made again only if it was changed, or one before it.
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,25 +17,28 @@ from torch import Tensor
 from torchtex.image import atomic_write, check_image, load, load_mask
 from torchtex.layers.deform import Spread
 from torchtex.layers.plans import Chaos
-from torchtex.recipes.cyclic import cyclic
+from torchtex.recipes.carried import itself, onto
 from torchtex.recipes.design_file import Book, StageEntry
 from torchtex.recipes.design_parts import (
     Layering,
+    bases_of,
+    closed,
     deformed,
     enlarged,
-    itself,
+    finished,
     layers_of,
-    onto,
+    taste_of,
     whole_deformed,
 )
 from torchtex.recipes.layered import Filling, part_seed
 from torchtex.recipes.local_edit import edit
+from torchtex.recipes.mending import Mending, mended
 from torchtex.recipes.montage import Montage, Stage
+from torchtex.recipes.shares import Tell, share
 from torchtex.recipes.strokes import Stroke, brush
 from torchtex.sources import UNREADABLE, copied
 
-Tell = Callable[[Stage], None] | None
-_FORMAT = 1  # of the files in the cache; another one is made anew
+_FORMAT = 2  # of the files in the cache; another one is made anew
 
 
 @dataclass(frozen=True)
@@ -52,7 +55,11 @@ class Made:
 
 
 def run_book(
-    book: Book, exemplars: Sequence[Tensor], *, cache: Path | None = None, on_step: Tell = None
+    book: Book,
+    exemplars: Sequence[Tensor],
+    *,
+    cache: Path | None = None,
+    on_step: Tell | None = None,
 ) -> Made:
     """All stages of a recipe file, those that a cache holds taken from it.
 
@@ -80,13 +87,14 @@ def run_book(
     parts = [itself(zs, number) for number in range(len(zs))]
     found: list[Montage] = []
     run: list[tuple[str, bool]] = []
+    part = 1 / max(1, len(book.stages))
     for number, entry in enumerate(book.stages):
         seed = part_seed(book.seed, 1000 * number)
         file = None if cache is None else cache / _name(entry, seed, zs, parts)
         made = None if file is None else _kept(file, zs, seed)
         run.append((entry.name, made is None))
         if made is None:
-            made = _run(entry, zs, parts, seed, book, _share(on_step, number, len(book.stages)))
+            made = _run(entry, zs, parts, seed, book, share(on_step, number * part, part))
             if file is not None:
                 _keep(file, made)
         if entry.name in ("deform", "edit"):
@@ -98,11 +106,16 @@ def run_book(
 
 
 def _run(
-    entry: StageEntry, zs: list[Tensor], parts: list[Montage], seed: int, book: Book, tell: Tell
+    entry: StageEntry,
+    zs: list[Tensor],
+    parts: list[Montage],
+    seed: int,
+    book: Book,
+    told: Tell | None,
 ) -> list[Montage]:
     stage = {"deform": _deform, "edit": _edit, "enlarge": _enlarge, "layers": _layers}[entry.name]
     try:
-        return stage(entry.settings, zs, parts, seed, tell)
+        return stage(entry.settings, zs, parts, seed, told)
     except ValueError as error:
         raise ValueError(
             f"recipe={str(book.path)!r}, line {entry.line}, stage {entry.name}: {error}"
@@ -110,7 +123,7 @@ def _run(
 
 
 def _deform(
-    settings: Any, zs: list[Tensor], parts: list[Montage], seed: int, tell: Tell
+    settings: Any, zs: list[Tensor], parts: list[Montage], seed: int, told: Tell | None
 ) -> list[Montage]:
     """Stage 1: the exemplars, and as many deformations of each."""
     spans = {name: settings[name] for name in settings if name != "count"}
@@ -121,12 +134,13 @@ def _deform(
         for _ in range(count):
             drawn = spread.draw(generator)
             made.append(whole_deformed(zs, number, drawn, Filling(), seed))
-            _tell(tell, made[-1], "deform", (len(made) - len(parts)) / (count * len(zs)))
+            done = (len(made) - len(parts)) / (count * len(zs))
+            share(told, 0.0, 1.0)(Stage(done, "deform", made[-1].texture))
     return made
 
 
 def _edit(
-    settings: Any, zs: list[Tensor], parts: list[Montage], seed: int, tell: Tell
+    settings: Any, zs: list[Tensor], parts: list[Montage], seed: int, told: Tell | None
 ) -> list[Montage]:
     """Stage 2: an element of one texture put into another one."""
     base, reference = settings.get("base", 0), settings.get("reference", 0)
@@ -145,30 +159,37 @@ def _edit(
         mask, settings.get("offset", (0, 0)), settings.get("rotation", 0.0),
         settings.get("scale", 1.0), settings.get("mirror", False),
     )  # fmt: skip
-    done = edit(parts[base].texture, [stroke], reference=source, on_step=tell)
+    done = edit(parts[base].texture, [stroke], reference=source, on_step=told)
     made = list(parts)
     made[base] = onto(done, [parts[base], parts[reference]], zs, done.texture)
     return made
 
 
 def _enlarge(
-    settings: Any, zs: list[Tensor], parts: list[Montage], seed: int, tell: Tell
+    settings: Any, zs: list[Tensor], parts: list[Montage], seed: int, told: Tell | None
 ) -> list[Montage]:
     """Stage 3: large textures from the set."""
     count, extra = _at_least("count", settings.get("count", 1), 1), settings.get("cyclic", 0)
     height, width = _size(settings)
-    made = []
+    size, by = (height + extra, width + extra), settings.get("by", "wavelet")
+    layering, made = Layering(mending=Mending(turns=False)), []
     for number in range(count):
-        whole = enlarged(
-            zs, parts, (height + extra, width + extra), settings.get("by", "wavelet"),
-            settings.get("poisson", False), part_seed(seed, number), _share(tell, number, count),
-        )  # fmt: skip
-        made.append(_closed(whole, zs, extra, settings))
+        own, part = part_seed(seed, number), 1 / count
+        tell = share(told, number * part, part / 2)
+        whole = enlarged(zs, parts, size, by, own, tell)
+        if by == "graphcut":
+            whole = finished(
+                whole, zs, parts, layering, overlap=extra, poisson=settings.get("poisson", False),
+                seed=own, on_step=share(told, (number + 0.5) * part, part / 2),
+            )  # fmt: skip
+        elif extra:
+            whole = closed(whole, zs, extra, solved=True)
+        made.append(whole)
     return made
 
 
 def _layers(
-    settings: Any, zs: list[Tensor], parts: list[Montage], seed: int, tell: Tell
+    settings: Any, zs: list[Tensor], parts: list[Montage], seed: int, told: Tell | None
 ) -> list[Montage]:
     """Stage 4: large textures of deformed layers of the set."""
     count, extra = _at_least("count", settings.get("count", 1), 1), settings.get("cyclic", 0)
@@ -184,26 +205,33 @@ def _layers(
             settings.get("patch", 32), settings.get("order", "scan"),
             settings.get("search", "qtp"),
         ),
+        mending=Mending(turns=settings.get("turns", False)),
+        variety=settings.get("variety", Layering().variety),
     )  # fmt: skip
     textures = [part.texture for part in parts]
     found = layers_of(textures, layering)
+    bases = bases_of(textures, layering, None, seed, False)
     made = []
     for number in range(count):
+        own, part = part_seed(seed, number), 1 / count
         done = deformed(
-            textures, found, (height + extra, width + extra), layering, None,
-            settings.get("poisson", False), part_seed(seed, number), _share(tell, number, count),
+            textures, found, bases, (height + extra, width + extra), layering, own,
+            share(told, number * part, part / 2),
         )  # fmt: skip
-        whole = onto(done, parts, zs, done.texture)
-        made.append(_closed(whole, zs, extra, settings))
+        done = finished(
+            done, textures, bases, layering, overlap=extra,
+            taste=taste_of(found, layering.variety, own), seed=own,
+            on_step=share(told, (number + 0.5) * part, part / 2),
+        )  # fmt: skip
+        made.append(_evened(onto(done, parts, zs, None), zs, settings, extra > 0))
     return made
 
 
-def _closed(whole: Montage, zs: list[Tensor], extra: int, settings: Any) -> Montage:
-    """The texture made to tile, if it is to."""
-    if not extra:
+def _evened(whole: Montage, zs: list[Tensor], settings: Any, periodic: bool) -> Montage:
+    """Levels along seams evened out, if they are to be."""
+    if not settings.get("poisson", False):
         return whole
-    done = cyclic(whole.texture, overlap=(extra, extra), poisson=settings.get("poisson", False))
-    return onto(done, [whole], zs, done.texture)
+    return mended(whole, zs, Mending(count=0), periodic=periodic, poisson=True)
 
 
 def _size(settings: Any) -> tuple[int, int]:
@@ -215,24 +243,6 @@ def _at_least(name: str, value: int, least: int) -> int:
     if not least <= value <= 10000:
         raise ValueError(f"{name}={value} must lie in {least}..10000")
     return value
-
-
-def _tell(tell: Tell, made: Montage, note: str, done: float) -> None:
-    if tell is not None:
-        tell(Stage(done, note, made.texture))
-
-
-def _share(tell: Tell, number: int, count: int) -> Tell:
-    """Progress of one part of several."""
-    if tell is None:
-        return None
-    told = tell
-
-    def part(stage: Stage) -> None:
-        done = min(1.0, (number + stage.done) / count)
-        told(Stage(done, stage.note, stage.texture, stage.detail))
-
-    return part
 
 
 def _name(entry: StageEntry, seed: int, zs: list[Tensor], parts: list[Montage]) -> str:

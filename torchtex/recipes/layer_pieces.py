@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -11,7 +11,10 @@ from torchtex.layers.deform import Deformation, warped
 from torchtex.layers.plans import Operation
 from torchtex.layers.segment import Segmentation
 from torchtex.layers.stitch import Part
+from torchtex.recipes.strokes import distance
 
+GROUND = 1 / 6  # of the exemplar: larger pieces are ground
+_OUTLINE = 3  # pixels around a thing that are shown with it
 _TORN = 1 / 16  # of the exemplar: smaller pieces at its border are not moved
 
 
@@ -116,9 +119,12 @@ def _copies(
 
 
 def part_of(
-    z: Tensor, piece: Piece, operations: Sequence[Operation], size: tuple[int, int]
+    z: Tensor, piece: Piece, operations: Sequence[Operation], size: tuple[int, int], collar: int = 0
 ) -> Part:
-    """A piece deformed, in a window that holds it.
+    """A piece deformed, in a window that holds it, with a collar of what lies around it.
+
+    So a seam can pass beside a thing rather than through it. Where the frame of the exemplar cuts
+    the piece off, nothing lies around it, and the seam may run as far inside instead.
 
     Example:
         >>> mask = torch.ones(4, 4, dtype=torch.bool)
@@ -136,17 +142,47 @@ def part_of(
         step = deformation(one, min(z.shape[1:]), there, size)
         matrix = step.matrix((place[0], place[1])) @ matrix
         place = [place[0] + step.translate[0], place[1] + step.translate[1]]
-    corners = torch.tensor(
-        [[r, c, 1.0] for r in (rows.start, rows.stop - 1) for c in (cols.start, cols.stop - 1)],
-        dtype=torch.float64,
-    )
-    moved = corners @ matrix.T
-    low = [math.floor(x) - 1 for x in moved.amin(0)[:2].tolist()]
-    high = [math.ceil(x) + 2 for x in moved.amax(0)[:2].tolist()]
+    low, high = _window(piece.box, collar, matrix)
     matrix[0, 2] -= low[0]
     matrix[1, 2] -= low[1]
-    made = warped(z, matrix, (high[0] - low[0], high[1] - low[1]), piece.mask)
-    return Part(made, (low[0] + piece.shift[0], low[1] + piece.shift[1]), piece.exemplar)
+    size = (high[0] - low[0], high[1] - low[1])
+    at = (low[0] + piece.shift[0], low[1] + piece.shift[1])
+    if collar == 0:
+        return Part(warped(z, matrix, size, piece.mask), at, piece.exemplar)
+    own = piece.mask
+    if piece.area < GROUND * own.numel():  # a thing keeps its outline, ground takes none along
+        own = distance(own, _OUTLINE) <= _OUTLINE
+    marks = torch.stack([own, own if piece.still else _framed(own, 2 * collar)])
+    made = warped(torch.cat([z, marks.to(z)]), matrix, size, distance(piece.mask, collar) <= collar)
+    core, firm = made.mask & (made.texture[len(z) :] > 1 - 1e-4)
+    return Part(
+        replace(made, texture=made.texture[: len(z)]), at, piece.exemplar, core=core, firm=firm
+    )
+
+
+def _window(
+    box: tuple[slice, slice], collar: int, matrix: Tensor
+) -> tuple[tuple[int, int], tuple[int, int]]:
+    """First and last row and column, and one more, of what a box with its collar becomes."""
+    corners = torch.tensor(
+        [
+            [row, col, 1.0]
+            for row in (box[0].start - collar, box[0].stop - 1 + collar)
+            for col in (box[1].start - collar, box[1].stop - 1 + collar)
+        ],
+        dtype=torch.float64,
+    )
+    moved = (corners @ matrix.T)[:, :2]
+    low = [math.floor(x) - 1 for x in moved.amin(0).tolist()]
+    high = [math.ceil(x) + 2 for x in moved.amax(0).tolist()]
+    return (low[0], low[1]), (high[0], high[1])
+
+
+def _framed(mask: Tensor, band: int) -> Tensor:
+    """A mask without what lies near the border of the exemplar."""
+    inside = torch.zeros_like(mask)
+    inside[band : mask.shape[0] - band, band : mask.shape[1] - band] = True
+    return mask & inside
 
 
 def deformation(

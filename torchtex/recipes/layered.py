@@ -13,7 +13,8 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import torch
-from jaxtyping import Float
+import torch.nn.functional as F
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchtex.cuts.mincut import MinCut, default_solver
@@ -23,17 +24,20 @@ from torchtex.layers.segment import Segmentation
 from torchtex.layers.stitch import Stitched, stitch
 from torchtex.quadratic import threads
 from torchtex.recipes.completion import Order, complete
-from torchtex.recipes.layer_pieces import Piece, part_of, pieces_of
+from torchtex.recipes.layer_pieces import GROUND, Piece, part_of, pieces_of
 from torchtex.recipes.montage import Montage, Stage
 from torchtex.recipes.patch_finders import Search
+from torchtex.recipes.shares import share
 from torchtex.sources import copied
 
+_LEAST = 60  # pixels of a thing
+_EDGE = 2  # pixels at the border of a thing that may change
 _STEP = 1_000_003  # from the seed of a design to those of its parts
 
 
 @dataclass(frozen=True)
 class Filling:
-    """How holes are completed: options of `complete`; seams may run far into layers.
+    """How holes are completed: options of `complete`.
 
     Example:
         >>> Filling(patch=24).search
@@ -44,7 +48,7 @@ class Filling:
     order: Order = "scan"
     search: Search = "fft"
     tolerance: float = 0.0
-    rim: int = 16
+    rim: int = 4
 
     def plain(self) -> dict[str, Any]:
         """The same as plain values."""
@@ -61,6 +65,7 @@ def layered(
     plan: Plan | None = None,
     children: bool = True,
     band: int = 6,
+    collar: int = 6,
     filling: Filling | None = None,
     poisson: bool = False,
     solver: MinCut | None = None,
@@ -82,6 +87,7 @@ def layered(
             left out.
         children: deform the children of a layer each on its own, rather than the layer.
         band: of `stitch`.
+        collar: pixels around a piece that come with it, for seams to run through.
         filling: how holes are completed.
         poisson: even out levels where holes were completed; `apply` does not do that. Where holes
             are large it tints what is far from the layers.
@@ -117,10 +123,10 @@ def layered(
         pieces = pieces_of(zs, segmentations, size, children, generator)
         order = sorted(range(len(pieces)), key=lambda n: -pieces[n].area)
         used = (chaos or Chaos()).plan(len(pieces), seed) if plan is None else plan
-        made = _stitched(zs, pieces, used, order, size, band, solver, set())
+        made = _stitched(zs, pieces, used, order, size, band, collar, solver, set())
         gone = set() if len(zs) > 1 else _vanished(pieces, order, made.owner)
         if gone:  # too small for seams to be cut in it
-            made = _stitched(zs, pieces, used, order, size, band, solver, gone)
+            made = _stitched(zs, pieces, used, order, size, band, collar, solver, gone)
             gone = _vanished(pieces, order, made.owner)
         if gone:
             raise ValueError(
@@ -133,7 +139,8 @@ def layered(
                           seed, on_step)  # fmt: skip
     settings = {
         "recipe": "layered", "size": list(size), "layers": [s.count for s in segmentations],
-        "children": children, "band": band, "filling": filling.plain(), "poisson": poisson,
+        "children": children, "band": band, "collar": collar, "filling": filling.plain(),
+        "poisson": poisson,
         "chaos": asdict(chaos or Chaos()), "plan": used.plain(),
         "holes": int(made.holes.sum()), "pasted": done.settings.get("pasted", 0),
         "energy": done.settings.get("energy", 0.0),
@@ -151,6 +158,7 @@ def _stitched(
     order: Sequence[int],
     size: tuple[int, int],
     band: int,
+    collar: int,
     solver: MinCut,
     whole: set[int],
 ) -> Stitched:
@@ -160,11 +168,13 @@ def _stitched(
             f"plan has {len(plan.layers)} lists of operations for {len(pieces)} pieces; give one "
             "each"
         )
-    parts = [part_of(zs[pieces[n].exemplar], pieces[n], plan.layers[n], size) for n in order]
+    parts = [
+        part_of(zs[pieces[n].exemplar], pieces[n], plan.layers[n], size, collar) for n in order
+    ]
     parts = [
         replace(part, whole=pieces[n].layer in whole) for n, part in zip(order, parts, strict=True)
     ]
-    return stitch(parts, size, band=band, solver=solver)
+    return stitch(parts, size, band=band, gradient=True, solver=solver)
 
 
 def part_seed(seed: int, number: int) -> int:
@@ -190,10 +200,6 @@ def _completed(
 ) -> Montage:
     side = min(filling.patch, *holes.shape, *(n for z in zs for n in z.shape[1:]))
 
-    def tell(stage: Stage) -> None:
-        if on_step is not None:
-            on_step(Stage(0.5 + stage.done / 2, stage.note, stage.texture, stage.detail))
-
     if not bool(holes.any()):
         shapes = [(z.shape[1], z.shape[2]) for z in zs]
         return Montage(
@@ -213,8 +219,35 @@ def _completed(
         positions=positions,
         solver=solver,
         seed=seed,
-        on_step=tell,
+        on_step=share(on_step, 0.5, 0.5),
     )
+
+
+def things_of(made: Montage) -> Int[Tensor, "h w"]:
+    """Where the pieces of a layered texture are still seen: their numbers, and -1 elsewhere.
+
+    The ground is none, nor is what is left of a piece that is hardly seen.
+
+    Args:
+        made: of `layered`, or the same with sources carried through.
+
+    Example:
+        >>> from torchtex.layers.segment import segment
+        >>> z = torch.zeros(1, 48, 48) + 0.1 * torch.rand(1, 48, 48)
+        >>> z[:, 10:24, 12:30] += 0.8
+        >>> made = layered(z, [segment(z, 2)], filling=Filling(patch=16))
+        >>> things_of(made).unique().tolist()
+        [-1, 1]
+    """
+    count, patches = len(made.settings["plan"]), made.patches
+    area = torch.bincount(patches.flatten(), minlength=count)[:count]
+    seen = (area >= _LEAST) & (area < GROUND * patches.numel())
+    thing = (patches < count) & seen[patches.clamp(max=count - 1)]
+    numbers = torch.where(thing, patches, -1)
+    wide = F.pad(numbers[None].double(), (_EDGE,) * 4, mode="replicate")
+    side = 2 * _EDGE + 1
+    inside = F.max_pool2d(wide, side, 1) == -F.max_pool2d(-wide, side, 1)
+    return torch.where(inside[0], numbers, -1)
 
 
 def _check(zs: Sequence[Tensor], segmentations: Sequence[Segmentation]) -> None:
