@@ -255,8 +255,7 @@ def bounded(labels: NDArray[Any]) -> NDArray[Any]:
 
 
 def _contrast(inside: NDArray[Any], seen: NDArray[Any]) -> float:
-    """The part of the variance of colours that lies between elements and ground."""
-    ours, theirs = seen[inside], seen[~inside]
-    between = np.square(ours.mean(0) - theirs.mean(0)).sum()
-    within = ours.var(0).sum() + theirs.var(0).sum()
-    return float(between / max(between + within, 1e-12))
+    """How far the colours of elements are from those of the ground, for its spread; 0 to 1."""
+    ground = seen[~inside]
+    away = np.square(seen[inside] - ground.mean(0)).sum(1)
+    return float((away / (away + ground.var(0).sum() + 1e-12)).mean())
