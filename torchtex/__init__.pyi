@@ -61,7 +61,7 @@ from .recipes.wang import wang_tiles as wang_tiles
 from .render.pictures import mesh_picture as mesh_picture
 from .render.pictures import texture_picture as texture_picture
 from .render.pictures import volume_picture as volume_picture
-from .render.scene import normal_map as normal_map
+from .render.relief import normal_map as normal_map
 from .result import Checkpoint as Checkpoint
 from .result import Progress as Progress
 from .result import Result as Result

@@ -18,7 +18,8 @@ from torchtex.render.pictures import (
     texture_picture,
     volume_picture,
 )
-from torchtex.render.scene import Thing, draw, normal_map
+from torchtex.render.relief import normal_map
+from torchtex.render.scene import Thing, draw
 from torchtex.render.views import Camera, Light, direction
 
 FLAT = Light(0.0, 0.0, strength=0.0, sky=1.25)  # 1 for normals to the front

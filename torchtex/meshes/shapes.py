@@ -120,7 +120,8 @@ def cylinder(steps: int = 96) -> Mesh:
 
     def point(u: Tensor, v: Tensor) -> Tensor:
         around = 2 * math.pi * v
-        return torch.stack([radius * around.sin(), half - 2 * half * u, radius * around.cos()], -1)
+        height = half - 2 * half * u
+        return torch.stack([-radius * around.cos(), height, radius * around.sin()], -1)
 
     side = surface(point, 1, steps, tiles=(1.0, 2.0))
     ends = [disk(radius, sign * half, sign > 0, steps, 2 * half) for sign in (1, -1)]

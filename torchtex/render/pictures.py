@@ -14,7 +14,8 @@ from torchtex.meshes.cubes import cube, cube_cutaway
 from torchtex.meshes.mesh import Mesh
 from torchtex.meshes.placing import centred, wrapped
 from torchtex.meshes.shapes import plane, shape
-from torchtex.render.scene import Thing, draw, normal_map
+from torchtex.render.relief import normal_map
+from torchtex.render.scene import Thing, draw
 from torchtex.render.views import Camera, Light
 
 VIEWS = {
@@ -61,6 +62,7 @@ def texture_picture(
             dark parts are high.
         ground: texture of a floor below the thing; None for no floor.
         gloss: strength of the highlight.
+        shadows: of the light, and less of the sky's light in corners.
         camera: one that suits the thing unless given; a mesh is moved before that one then.
         size: height and width of the picture.
         samples: every pixel is the mean of this number squared.
@@ -85,7 +87,9 @@ def texture_picture(
         things.append(_floor(mesh, ground))
     haze = _HAZE if len(things) > 1 or flat else math.inf
     chosen = view if camera is None else camera
-    return draw(things, chosen, light, size, haze=haze, shadows=shadows, samples=samples)
+    return draw(
+        things, chosen, light, size, haze=haze, shadows=shadows, corners=shadows, samples=samples
+    )
 
 
 def mesh_picture(
@@ -118,7 +122,7 @@ def mesh_picture(
     chosen = Camera() if camera is None else camera
     own = mesh.texture if color is None else None
     thing = Thing(_placed(mesh, camera), own, color=color, gloss=gloss)
-    return draw([thing], chosen, light, size, shadows=shadows, samples=samples)
+    return draw([thing], chosen, light, size, shadows=shadows, corners=shadows, samples=samples)
 
 
 def volume_picture(
@@ -154,10 +158,8 @@ def volume_picture(
     extent = mesh.vertices.new_tensor([width, height, depth]) / longest
     block = replace(mesh, vertices=mesh.vertices * extent)
     view = Camera(36.0, 30.0, 3.9) if camera is None else camera
-    return mesh_picture(
-        block, color=solid(volume), gloss=0.05, camera=view, light=light, size=size,
-        shadows=False, samples=samples,
-    )  # fmt: skip
+    thing = Thing(block, color=solid(volume), gloss=0.05)
+    return draw([thing], view, light, size, shadows=False, samples=samples)
 
 
 def solid(

@@ -1,28 +1,29 @@
 """Scenes: things with textures, a camera and a light, drawn in software.
 
 Colours are taken for sRGB and shaded in linear light: what the sky gives all around, Lambert's
-law for the light, a highlight after Blinn and Phong, and shadows from a depth map seen from it.
+law for the light, a highlight after Blinn and Phong, and shadows from depth maps seen from there.
 """
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from torchtex.image import luminance
-from torchtex.meshes.mesh import Mesh
+from torchtex.meshes.mesh import Mesh, joined
 from torchtex.render.raster import Hits, Mipmaps, mipmaps, rasterize
+from torchtex.render.relief import bent, tangents
+from torchtex.render.shadows import Lamp, Sky
 from torchtex.render.views import Camera, Light, Place, direction
 
 Colors = Callable[[Float[Tensor, "n 3"]], Float[Tensor, "n c"]]
 
 _GAMMA = 2.2
 _SAMPLES = 2**20  # pixels, before they are averaged, in one band of rows
-_SHADOW = 768  # pixels, of the side of the depth map
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +37,7 @@ class Thing:
         normals: (3, h, w), a normal map as of `normal_map`, aligned with the texture.
         gloss: strength of the highlight.
         shine: the larger, the smaller the highlight is.
-        shadow: whether it throws one.
+        shadow: whether it throws one, and keeps the sky from places.
 
     Raises:
         ValueError: a mesh without triangles, or a texture for one that has no places on it.
@@ -66,28 +67,6 @@ class Thing:
             )
 
 
-def normal_map(texture: Float[Tensor, "c h w"], strength: float = 1.0) -> Float[Tensor, "3 h w"]:
-    """Normals of a relief that is high where the texture is light; periodic, of length 1.
-
-    Args:
-        strength: slope where lightness changes by a tenth from pixel to pixel; below 0 dark
-            parts are high.
-
-    Returns:
-        x to the right, y up, z out of the surface; (n + 1) / 2 is the usual picture of it.
-
-    Example:
-        >>> normal_map(torch.full((3, 4, 4), 0.5))[2].min().item()
-        1.0
-    """
-    light = luminance(texture)
-    for axis in (0, 1):  # grain of single pixels is no relief
-        light = (light.roll(1, axis) + 2 * light + light.roll(-1, axis)) / 4
-    right, down = ((light.roll(-1, axis) - light.roll(1, axis)) / 2 for axis in (1, 0))
-    slopes = 10 * strength * torch.stack([-right, down])
-    return F.normalize(torch.cat([slopes, torch.ones_like(light)[None]]), dim=0)
-
-
 def draw(
     things: Sequence[Thing],
     camera: Camera,
@@ -97,6 +76,7 @@ def draw(
     background: tuple[Place, Place] = ((0.93, 0.95, 0.97), (0.74, 0.78, 0.82)),
     haze: float = math.inf,
     shadows: bool = True,
+    corners: bool = True,
     samples: int = 3,
 ) -> Float[Tensor, "3 h w"]:
     """The picture of a scene, in [0, 1].
@@ -105,6 +85,8 @@ def draw(
         size: height and width.
         background: colours at the top and at the bottom.
         haze: distance at which most of a thing's colour has turned into the background's.
+        shadows: of the light.
+        corners: less of the sky's light reaches corners, and places under things.
         samples: every pixel is the mean of this number squared.
 
     Raises:
@@ -123,7 +105,10 @@ def draw(
     if not 1 <= samples <= 8:
         raise ValueError(f"samples={samples} must lie in 1..8")
     wide = (size[0] * samples, size[1] * samples)
-    scene = _Scene(tuple(things), camera, light, wide, haze, shadows)
+    inside = [thing.mesh for thing in things if thing.shadow]
+    lamp = Lamp(inside if shadows and light.strength else [], light.azimuth, light.elevation)
+    heaven = Sky(inside) if corners and inside and light.sky else None
+    scene = _Scene(tuple(things), camera, light, wide, haze, lamp, heaven, samples)
     sky = [torch.tensor(color).double() ** _GAMMA for color in background]
     band = max(1, _SAMPLES // (wide[1] * samples)) * samples
     parts = []
@@ -146,15 +131,18 @@ class _Scene:
         light: Light,
         size: tuple[int, int],
         haze: float,
-        shadows: bool,
+        lamp: Lamp,
+        heaven: Sky | None,
+        samples: int,
     ) -> None:
         self.things, self.camera, self.light = things, camera, light
         self.size, self.haze = size, haze
-        self.vertices, self.faces, self.starts = _together([thing.mesh for thing in things])
-        self.seen = camera.seen(self.vertices, size)
+        self.lamp, self.heaven, self.samples = lamp, heaven, samples
+        whole = joined([Mesh(thing.mesh.vertices, thing.mesh.faces) for thing in things])
+        self.seen, self.faces = camera.seen(whole.vertices, size), whole.faces
+        self.starts = [0, *accumulate(len(thing.mesh.faces) for thing in things)]
         self.textures = [_maybe_mipmaps(thing.texture) for thing in things]
         self.reliefs = [_maybe_mipmaps(thing.normals) for thing in things]
-        self.shade = _Shade(things, light) if shadows and light.strength else None
 
     def band(self, rows: tuple[int, int], empty: Tensor) -> Tensor:
         """(h, w, 3), linear light, drawn over the empty one."""
@@ -169,23 +157,31 @@ class _Scene:
             weights = hits.weights(pixels)
             face = hits.triangle[here] - self.starts[number]
             place = _mean(thing.mesh.vertices, thing.mesh.faces[face], weights)
-            color, normal = self._surface(number, hits, pixels, face, weights)
-            lit = self._lit(thing, color, normal, place)
+            smooth = _normals(thing.mesh, face, weights)
+            color, normal = self._surface(number, hits, pixels, face, weights, smooth)
+            toward = F.normalize(place.new_tensor(self.camera.eye) - place, dim=1)
+            away = (_face_normals(thing.mesh)[face] * toward).sum(1, keepdim=True) < 0
+            smooth, normal = (torch.where(away, -n, n) for n in (smooth, normal))  # both are seen
+            sky, direct = self._reached(place, smooth, pixels)
+            lit = self._lit(thing, color, normal, toward, sky, direct)
             old = empty[pixels[:, 0], pixels[:, 1]]
-            away = (place - place.new_tensor(self.camera.eye)).norm(dim=1, keepdim=True)
-            clear = torch.exp(-((away / self.haze) ** 4) * 2)
+            far = (place - place.new_tensor(self.camera.eye)).norm(dim=1, keepdim=True)
+            clear = torch.exp(-((far / self.haze) ** 4) * 2)
             empty[pixels[:, 0], pixels[:, 1]] = old + clear * (lit - old)
         return empty
 
     def _surface(
-        self, number: int, hits: Hits, pixels: Tensor, face: Tensor, weights: Tensor
+        self,
+        number: int,
+        hits: Hits,
+        pixels: Tensor,
+        face: Tensor,
+        weights: Tensor,
+        normal: Tensor,
     ) -> tuple[Tensor, Tensor]:
         """Colour, linear, and normal of every pixel."""
         thing, mesh = self.things[number], self.things[number].mesh
         corners = mesh.faces[face]
-        normal = _face_normals(mesh)[face]
-        if mesh.normals is not None:
-            normal = F.normalize(_mean(mesh.normals, corners, weights), dim=1)
         color = torch.full((len(pixels), 3), 0.75, dtype=torch.float64)
         steps: list[Tensor] = []
         if mesh.uv is not None:
@@ -202,68 +198,47 @@ class _Scene:
         elif mesh.colors is not None:
             color = _rgb(_mean(mesh.colors, corners, weights))
         if relief is not None:
-            normal = _bent(normal, relief(at, *steps), *(t[face] for t in _tangents(mesh)))
+            normal = bent(normal, relief(at, *steps), *(t[face] for t in tangents(mesh)))
         return color.clamp(0, 1) ** _GAMMA, normal
 
-    def _lit(self, thing: Thing, color: Tensor, normal: Tensor, place: Tensor) -> Tensor:
-        view = F.normalize(place.new_tensor(self.camera.eye) - place, dim=1)
-        facing = (normal * view).sum(1, keepdim=True)
-        normal = torch.where(facing < 0, -normal, normal)  # both sides are seen
-        toward = place.new_tensor(direction(self.light.azimuth, self.light.elevation))
+    def _lit(
+        self,
+        thing: Thing,
+        color: Tensor,
+        normal: Tensor,
+        view: Tensor,
+        sky: Tensor,
+        direct: Tensor,
+    ) -> Tensor:
+        """Light that goes to the camera, of what reaches each place from the sky and the lamp."""
+        toward = view.new_tensor(direction(self.light.azimuth, self.light.elevation))
         lambert = (normal @ toward).clamp(min=0)
         half = F.normalize(view + toward, dim=1)
         highlight = (normal * half).sum(1).clamp(min=0) ** thing.shine * (lambert > 0)
-        reached = torch.ones_like(lambert) if self.shade is None else self.shade(place, normal)
-        sky = self.light.sky * (0.8 + 0.2 * normal[:, 1])
-        direct = self.light.strength * reached
+        around = sky * (0.8 + 0.2 * normal[:, 1])
         return (
-            color * (sky + direct * lambert)[:, None] + (direct * thing.gloss * highlight)[:, None]
+            color * (around + direct * lambert)[:, None]
+            + ((direct * thing.gloss * highlight)[:, None])
         )
 
+    def _reached(self, place: Tensor, normal: Tensor, pixels: Tensor) -> tuple[Tensor, Tensor]:
+        """What comes from the sky, and from the lamp, before surfaces are turned away from it."""
+        sky = self.light.sky * self._open(place, normal, pixels)
+        return sky, self.light.strength * self.lamp(place, normal)
 
-class _Shade:
-    """How much of the light reaches a place: the things as seen from a lamp far away."""
-
-    def __init__(self, things: Sequence[Thing], light: Light) -> None:
-        meshes = [thing.mesh for thing in things if thing.shadow]
-        self.depth: Tensor | None = None
-        if not meshes:
-            return
-        vertices, faces, _ = _together(meshes)
-        middle = (vertices.amin(0) + vertices.amax(0)) / 2
-        radius = float((vertices - middle).norm(dim=1).max()) * 1.02
-        a, b, c = middle.tolist()
-        fov = math.degrees(2 * math.asin(1 / 12))
-        self.lamp = Camera(light.azimuth, light.elevation, 12 * radius, (a, b, c), fov)
-        self.radius = radius
-        seen = self.lamp.seen(vertices, (_SHADOW, _SHADOW))
-        self.depth = rasterize(seen, faces, (_SHADOW, _SHADOW)).depth
-
-    def __call__(self, place: Tensor, normal: Tensor) -> Tensor:
-        if self.depth is None:
-            return torch.ones(len(place), dtype=torch.float64)
-        lifted = place + 0.02 * self.radius * normal  # so that nothing shades itself
-        x, y, w = self.lamp.seen(lifted, (_SHADOW, _SHADOW)).unbind(1)
-        column, row = x / w, y / w
-        total = torch.zeros_like(w)
-        taps = (-2.25, -0.75, 0.75, 2.25)
-        for down in taps:
-            for right in taps:
-                i, j = (row + down).round().long(), (column + right).round().long()
-                inside = (i >= 0) & (i < _SHADOW) & (j >= 0) & (j < _SHADOW)
-                nearest = self.depth[i.clamp(0, _SHADOW - 1), j.clamp(0, _SHADOW - 1)]
-                total += (~inside | (nearest * w <= 1 + 1e-6)).double()
-        return total / len(taps) ** 2
-
-
-def _together(meshes: Sequence[Mesh]) -> tuple[Tensor, Tensor, list[int]]:
-    """All vertices and faces, and the number of the first face of each mesh."""
-    faces, starts, shift = [], [0], 0
-    for mesh in meshes:
-        faces.append(mesh.faces + shift)
-        shift += len(mesh.vertices)
-        starts.append(starts[-1] + len(mesh.faces))
-    return torch.cat([mesh.vertices for mesh in meshes]), torch.cat(faces), starts
+    def _open(self, place: Tensor, normal: Tensor, pixels: Tensor) -> Tensor:
+        """How much of the sky each sees; alike in a pixel of the picture for one way of facing."""
+        if self.heaven is None:
+            return place.new_ones(len(place))
+        row, column = (pixels // self.samples).unbind(1)
+        way = 2 * normal.abs().argmax(1)
+        way = way + (normal.gather(1, way[:, None] // 2)[:, 0] < 0)
+        key = (row * self.size[1] + column) * 6 + way
+        _, group = torch.unique(key, return_inverse=True)
+        count = int(group.max()) + 1
+        first = torch.full((count,), len(key), device=key.device)
+        first.scatter_reduce_(0, group, torch.arange(len(key), device=key.device), "amin")
+        return self.heaven(place[first], normal[first])[group]
 
 
 def _maybe_mipmaps(texture: Tensor | None) -> Mipmaps | None:
@@ -288,25 +263,8 @@ def _face_normals(mesh: Mesh) -> Tensor:
     return F.normalize(torch.linalg.cross(b - a, c - a), dim=1)
 
 
-def _tangents(mesh: Mesh) -> tuple[Tensor, Tensor]:
-    """Down and to the right on the texture, of every face."""
-    assert mesh.uv is not None
-    a, b, c = mesh.vertices.double()[mesh.faces].unbind(1)
-    p, q, r = mesh.uv.double()[mesh.faces].unbind(1)
-    one, two, first, second = b - a, c - a, q - p, r - p
-    area = first[:, :1] * second[:, 1:] - first[:, 1:] * second[:, :1]
-    area = torch.where(area.abs() < 1e-15, 1.0, area)
-    down = (one * second[:, 1:] - two * first[:, 1:]) / area
-    right = (two * first[:, :1] - one * second[:, :1]) / area
-    return down, right
-
-
-def _bent(normal: Tensor, relief: Tensor, down: Tensor, right: Tensor) -> Tensor:
-    """The normal turned as a normal map says."""
-    level = [
-        F.normalize(way - (way * normal).sum(1, keepdim=True) * normal, dim=1)
-        for way in (right, -down)
-    ]
-    x, y, z = relief.unbind(1)
-    bent = x[:, None] * level[0] + y[:, None] * level[1] + z[:, None] * normal
-    return F.normalize(bent, dim=1)
+def _normals(mesh: Mesh, face: Tensor, weights: Tensor) -> Tensor:
+    """Of places on faces, smooth if the mesh has normals."""
+    if mesh.normals is None:
+        return _face_normals(mesh)[face]
+    return F.normalize(_mean(mesh.normals, mesh.faces[face], weights), dim=1)
