@@ -38,7 +38,7 @@ _DRIFT = 12  # pixels, from which on a change of level is no matter of a seam
 _BAND = 4  # pixels around a new element where the cut decides
 _LARGEST = 1000.0
 _ROOM = 0.6  # side of the patches that ground must have room for, of a typical element's
-_MUCH = 0.6  # of the picture that is away from elements
+_SPARSE = 0.2  # of the picture that elements cover where all else may be taken for ground
 _PLAIN = 0.75  # mean step from pixel to pixel on a plain ground, of that of the picture
 
 
@@ -278,13 +278,13 @@ def _check_room(elements: Elements, image: Tensor) -> None:
 
 
 def _open(free: Tensor, elements: Elements, image: Tensor) -> bool:
-    """Whether there is a ground: room for patches, and either much of it or little in it.
+    """Whether there is a ground: room for patches, and either much of it or little to see on it.
 
     In a heap of pebbles, what lies between those of one colour is other pebbles.
     """
     if _patch(free) < min(_PATCHES[0], max(_PATCHES[-1], math.ceil(_ROOM * elements.typical))):
         return False
-    if float(free.double().mean()) >= _MUCH:
+    if elements.cover <= _SPARSE:
         return True
     steps, inside = [], []
     for axis in (0, 1):
