@@ -25,7 +25,8 @@ from torchtex.flow.fields import Uniform, field_at
 from torchtex.flow.formulas import Rotation, Sink, Source
 from torchtex.flow.warps import invert, warp
 from torchtex.image import save
-from torchtex.recipes.animate import VISIBLE, Motion, animate
+from torchtex.recipes.animate import Motion, animate
+from torchtex.recipes.frames import VISIBLE
 from torchtex.recipes.pieces import stock_of
 from torchtex.recipes.regeneration import regenerated_frames, warped_frames
 

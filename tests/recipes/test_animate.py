@@ -14,7 +14,8 @@ from torch import Tensor
 
 from torchtex.flow.fields import Flow, Given, Scaled, Summed, Uniform
 from torchtex.flow.formulas import Rotation, Sink, Source
-from torchtex.recipes.animate import Frame, Motion, animate, load_frame, save_frame, warp_error
+from torchtex.recipes.animate import Motion, animate
+from torchtex.recipes.frames import Frame, load_frame, save_frame, warp_error
 from torchtex.synthesize import synthesize
 
 STILL = Uniform((0.0, 0.0))

@@ -126,3 +126,21 @@ def test_masks_are_kept_away_from() -> None:
 def tables(pieces: Pieces) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """What is known of each piece."""
     return pieces.which, pieces.source, pieces.place
+
+
+def test_the_more_it_is_held_the_closer_to_the_warped_frame() -> None:
+    pieces, stock = ready()
+    table = [torch.cat([x, x]) for x in tables(pieces)]
+    table[1][9:] += torch.tensor([5.0, 0.0])  # the same pieces, of what is five rows further
+    owner = torch.where(pieces.owner == 4, 13, pieces.owner)
+    torn = Pieces(owner, owner, pieces.age, *table)
+    wished = rendered(torn, stock, 0)[0]
+    gaps = []
+    for hold in (0.0, 0.3, 5.0):
+        canvas = Canvas(torn, stock, STILL, Costs(hold=hold), wished=wished)
+        canvas.show()
+        canvas.mend(1)
+        gaps.append(float((rendered(canvas.done(0), stock, 0)[0] - wished).abs().sum()))
+    assert gaps[0] > gaps[1] >= gaps[2]
+    assert gaps[0] > 1
+    assert gaps[2] < 0.1 * gaps[0]

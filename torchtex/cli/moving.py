@@ -2,7 +2,6 @@
 
 import contextlib
 import itertools
-import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ from torchtex.cli.files import (
     read_files,
     solver_of,
 )
+from torchtex.cli.frame_folder import FrameFolder
 from torchtex.cli.options import (
     Exemplars,
     KeepPartial,
@@ -33,10 +33,6 @@ from torchtex.cli.recipe import carry_out, described, kept_options, write_report
 
 if TYPE_CHECKING:
     import torch
-
-    from torchtex.recipes.animate import Frame
-
-STATE = "state.npz"
 
 
 @app.command()
@@ -63,8 +59,9 @@ def animate(
         int, typer.Option(help="Side of the pieces that move as wholes, pixels; above an object's.")
     ] = 48,
     hold: Annotated[
-        float, typer.Option(help="Cost of changing content, against 1 for a seam.")
-    ] = 0.1,
+        float,
+        typer.Option(help="How closely to keep to the warped frame before, against 1 for a seam."),
+    ] = 0.3,
     follow: Annotated[
         float, typer.Option(help="Cost of content that moves otherwise than the flow.")
     ] = 0.03,
@@ -141,7 +138,7 @@ def animate(
         record = described(context, read, kept_options(context))
         about = record | {"options": _deciding(context)}
         zs, masks = load_exemplars(exemplar, mask or [])
-        store = None if folder is None else _Folder(folder, about, record)
+        store = None if folder is None else FrameFolder(folder, about, record)
         resume = None if store is None else store.resumed()
         made = animated(
             zs, height_width, moving, frames, masks=masks, motion=motion, boundary=boundary,
@@ -276,49 +273,3 @@ def _beside(
     yield torch.cat([first, next(plain), next(anew)], 2)
     for ours, one, two in zip(frames, plain, anew, strict=False):
         yield torch.cat([ours, one, two], 2)
-
-
-class _Folder:
-    """A folder of frames, and the state that a run goes on from."""
-
-    def __init__(self, folder: Path, about: dict[str, Any], record: dict[str, Any]) -> None:
-        self.folder, self.about = folder, json.dumps(about, sort_keys=True)
-        self.record = {"torchtex": json.dumps(record, sort_keys=True)}
-
-    def resumed(self) -> "Frame | None":
-        """The last frame that is there, if it is of the same run."""
-        from torchtex.recipes.animate import load_frame
-
-        path = self.folder / STATE
-        if not path.exists():
-            return None
-        frame, about = load_frame(path)
-        if about != self.about:
-            raise ValueError(
-                f"output={str(self.folder)!r} holds frames of other options; empty it, or name "
-                "another folder"
-            )
-        return frame
-
-    def pictures(self, count: int) -> "Iterator[torch.Tensor]":
-        """The frames before the one to go on from, read back."""
-        from torchtex import image as images
-        from torchtex.video import frame_name
-
-        for number in range(count):
-            yield images.load(self.folder / frame_name(number), name="frame").image
-
-    def keep(self, frame: "Frame") -> None:
-        """Writes a frame, then the state: a state never names a frame that is not there."""
-        from torchtex import image as images
-        from torchtex.recipes.animate import save_frame
-        from torchtex.video import frame_name
-
-        self.folder.mkdir(exist_ok=True)
-        path = self.folder / frame_name(frame.number)
-        images.save(path, frame.texture, metadata=self.record)
-        save_frame(self.folder / STATE, frame, self.about)
-
-    def done(self) -> None:
-        """Nothing is left to go on from."""
-        (self.folder / STATE).unlink(missing_ok=True)

@@ -6,28 +6,21 @@ Source: Kwatra et al. 2005, section 4.1 and Algorithm 2.
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchtex.cuts.mincut import MinCut, default_solver
-from torchtex.cuts.seams import cut_seam, seam_costs
 from torchtex.flow.fields import Flow, check_flow, field_at
 from torchtex.flow.warps import invert, warp
-from torchtex.image import atomic_write, resize
 from torchtex.inputs import check_not_negative, check_seed
 from torchtex.model import Search
+from torchtex.recipes.frames import Frame, warp_error
+from torchtex.recipes.homecoming import Homecoming, homecoming
 from torchtex.recipes.moving import Canvas, Costs
-from torchtex.recipes.pieces import OLD, Pieces, Stock, pieces_of, rendered, stock_of
-from torchtex.sources import UNREADABLE, SourceField
+from torchtex.recipes.pieces import Pieces, Stock, pieces_of, rendered, stock_of
 from torchtex.synthesize import synthesize
-
-VISIBLE = 0.9
-"""From this confidence on a pixel is the same in both frames, and the warp error counts it."""
 
 _BAR = 0.1  # cost of seams from which on a new piece is tried over them
 _COVERS = 16  # most new pieces in one frame
@@ -42,8 +35,9 @@ class Motion:
     Args:
         patch: side of the pieces that a frame is made of, in pixels. Large ones show more whole
             objects, small ones follow the flow more closely.
-        hold: cost of a change of a pixel's content, against 1 for a seam. Large values keep what
-            is there, small ones mend more seams.
+        hold: how closely a frame keeps to the one before: cost of the difference of a pixel from
+            the warped frame before, against 1 for a seam. Large values follow the flow more
+            closely and change less, small ones mend more seams and look more like the exemplar.
         follow: cost of a pixel whose piece does not move as the flow does there, per pixel.
         repeat: how far new pieces keep away from parts of the exemplar that are shown already.
         mend: how many new pieces are tried in each frame, over its worst seams.
@@ -60,7 +54,7 @@ class Motion:
     """
 
     patch: int = 48
-    hold: float = 0.1
+    hold: float = 0.3
     follow: float = 0.03
     repeat: float = 1.0
     mend: int = 6
@@ -76,106 +70,6 @@ class Motion:
             raise ValueError(f"fade={self.fade} must lie in 0..99")
         if not 1 <= self.steps <= 8:
             raise ValueError(f"steps={self.steps} must lie in 1..8")
-
-
-@dataclass(frozen=True)
-class Frame:
-    """One frame of an animation.
-
-    Args:
-        number: from 0.
-        texture: (c, h, w) in [0, 1].
-        field: where its pixels came from; renders aligned maps.
-        confidence: (h, w), how far each pixel was already to be seen in the frame before; 0 all
-            over in the first.
-        warp_error: root mean square difference from the warped frame before, where that is
-            seen; 0 in the first.
-        seconds: that it took.
-        pieces: that it shows, but for those on the way home in a loop.
-        home: (h, w), True for pixels that are on the way home already.
-    """
-
-    number: int
-    texture: Float[Tensor, "c h w"]
-    field: SourceField
-    confidence: Float[Tensor, "h w"]
-    warp_error: float
-    seconds: float
-    pieces: Pieces
-    home: Bool[Tensor, "h w"]
-
-
-def save_frame(path: str | Path, frame: Frame, about: str = "") -> None:
-    """Writes a frame as an .npz file that `animate(resume=...)` can go on from.
-
-    Args:
-        about: kept with it, for the caller to recognise.
-
-    Example:
-        >>> import tempfile
-        >>> from torchtex.flow.fields import Uniform
-        >>> frame = next(animate(torch.rand(1, 32, 32), (32, 32), Uniform((0.0, 1.0)), 2))
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     save_frame(f"{folder}/f.npz", frame)
-        ...     load_frame(f"{folder}/f.npz")[0].number
-        0
-    """
-    field, pieces = frame.field, frame.pieces
-    arrays: dict[str, Tensor] = {
-        "texture": frame.texture,
-        "confidence": frame.confidence,
-        "home": frame.home,
-        "positions": field.positions,
-        "weights": field.weights,
-        "owner": pieces.owner,
-        "before": pieces.before,
-        "age": pieces.age,
-        "which": pieces.which,
-        "source": pieces.source,
-        "place": pieces.place,
-    }
-    stored: dict[str, Any] = {name: array.cpu().numpy() for name, array in arrays.items()}
-    with atomic_write(path) as temporary, open(temporary, "wb") as file:
-        np.savez(
-            file,
-            number=np.array(frame.number),
-            numbers=np.array([frame.warp_error, frame.seconds]),
-            shapes=np.array(field.shapes),
-            about=np.array(about),
-            **stored,
-        )
-
-
-def load_frame(path: str | Path) -> tuple[Frame, str]:
-    """Reads what `save_frame` wrote: the frame, and what was kept with it.
-
-    Raises:
-        ValueError: no such file, or another kind of file.
-    """
-    try:
-        with open(path, "rb") as raw, np.load(raw, allow_pickle=False) as file:
-
-            def read(name: str) -> Tensor:
-                return torch.from_numpy(file[name])
-
-            error, seconds = (float(number) for number in file["numbers"])
-            shapes = tuple((int(h), int(w)) for h, w in file["shapes"])
-            names = ("owner", "before", "age", "which", "source", "place")
-            frame = Frame(
-                int(file["number"]),
-                read("texture"),
-                SourceField(read("positions"), read("weights"), shapes),
-                read("confidence"),
-                error,
-                seconds,
-                Pieces(*(read(name) for name in names)),
-                read("home"),
-            )
-            return frame, str(file["about"])
-    except UNREADABLE as error_:
-        raise ValueError(
-            f"state={path} is not the state of an animation ({error_}); delete it"
-        ) from None
 
 
 def animate(
@@ -197,7 +91,8 @@ def animate(
     """Frames of a texture that moves along a flow and stays a texture; made as they are asked for.
 
     The first frame is a synthesis, cut into pieces of the exemplar. From frame to frame each piece
-    moves as a whole, with the exemplar's own orientation and size. Min-cuts find where pieces that
+    moves as a whole, with the exemplar's own orientation and size, as the flow moves its
+    structure. Min-cuts find where pieces that
     slide over each other meet; new pieces appear where the flow brings in new pixels, and over
     seams that show.
 
@@ -266,7 +161,7 @@ class _Maker:
         self, frame: Frame | None, on_frame: Callable[[Frame], None] | None
     ) -> Iterator[Frame]:
         stock: Stock | None = None
-        home: _Home | None = None
+        home: Homecoming | None = None
         if frame is None or self.loop:
             stock, first = self.first()
             if self.loop:
@@ -321,102 +216,44 @@ class _Maker:
         canvas.cover(_COVERS)
         canvas.grow(anywhere=True)
 
-    def moved(self, pieces: Pieces, flow: Tensor, number: int, stock: Stock) -> Pieces:
+    def moved(
+        self, pieces: Pieces, flow: Tensor, number: int, stock: Stock, last: Tensor, warped: Tensor
+    ) -> Pieces:
         """The pieces of the next frame: half of them grow, the other half in the frame after."""
         costs = Costs(self.motion.follow, self.motion.hold, self.motion.repeat)
-        canvas = Canvas(pieces, stock, flow, costs, self.solver)
+        canvas = Canvas(pieces, stock, flow, costs, self.solver, last=last, wished=warped)
         canvas.move()
         self.fill(canvas, _least(stock) // 5)
         canvas.mend(_least(stock), range(number % 2, len(canvas.pieces.which), 2))
         canvas.renew(self.motion.mend, _BAR)
         return canvas.done(self.motion.fade)
 
-    def next(self, last: Frame, number: int, stock: Stock, home: "_Home | None") -> Frame:
+    def next(self, last: Frame, number: int, stock: Stock, home: "Homecoming | None") -> Frame:
         began = time.perf_counter()
         flow = field_at(self.flow, number - 1, self.size).to(last.texture.device)
         backward, seen = invert(flow.to(last.texture), periodic=self.periodic)
-        pieces = self.moved(last.pieces, flow, number, stock)
+        warped = warp(last.texture, backward, periodic=self.periodic).clamp(0, 1)
+        pieces = self.moved(last.pieces, flow, number, stock, last.texture, warped)
         shown, at_home = pieces, last.home
         if home is not None and home.left(number) <= self.loop:
             shown, at_home = home.joined(pieces, last.home, backward, number)
         texture, field = rendered(shown, stock, self.motion.fade)
-        warped = warp(last.texture, backward, periodic=self.periodic).clamp(0, 1)
         error = warp_error(texture, warped, seen.to(texture))
         seconds = time.perf_counter() - began
         return Frame(number, texture, field, seen.to(texture), error, seconds, pieces, at_home)
 
-    def way_home(self, pieces: Pieces, stock: Stock) -> "_Home":
+    def way_home(self, pieces: Pieces, stock: Stock) -> Homecoming:
         """The pieces of the frames before the first one, had the flow led to it."""
-        ways = []
+        ways: list[Pieces] = []
         for step in range(1, self.loop + 1):
             flow = field_at(self.flow, self.frames - step, self.size).to(pieces.place.device)
-            pieces = self.moved(pieces, invert(flow, periodic=self.periodic)[0], step, stock)
-            still = torch.full_like(pieces.age, OLD)
-            ways.append(Pieces(pieces.owner, pieces.owner, still, *_table(pieces)))
-        cells = [max(2, extent // (2 * stock.side)) for extent in self.size]
-        generator = torch.Generator().manual_seed(self.seed)
-        order = torch.rand(1, *cells, generator=generator, dtype=torch.float64)
-        order = resize(order, self.size).flatten().argsort(stable=True).argsort(stable=True)
-        turn = (order.double() + 0.5).view(self.size) / order.numel()
-        return _Home(ways, turn.to(pieces.place.device), stock, self.frames, self.solver)
+            back = invert(flow, periodic=self.periodic)[0]
+            last = rendered(pieces, stock, self.motion.fade)[0]
+            warped = warp(last, flow, periodic=self.periodic).clamp(0, 1)
+            pieces = self.moved(pieces, back, step, stock, last, warped)
+            ways.append(pieces)
+        return homecoming(ways, stock, self.frames, self.solver, self.seed)
 
 
 def _least(stock: Stock) -> int:
     return max(1, int(_LEAST * stock.side**2))
-
-
-def _table(pieces: Pieces) -> tuple[Tensor, Tensor, Tensor]:
-    return pieces.which, pieces.source, pieces.place
-
-
-@dataclass(frozen=True)
-class _Home:
-    """The way back to the first frame: frames that lead to it, and when each pixel joins them."""
-
-    ways: Sequence[Pieces]
-    turn: Float[Tensor, "h w"]
-    stock: Stock
-    frames: int
-    solver: MinCut
-
-    def left(self, number: int) -> int:
-        """Frames until the first one comes again."""
-        return self.frames - number
-
-    def joined(
-        self, pieces: Pieces, home: Tensor, backward: Tensor, number: int
-    ) -> tuple[Pieces, Tensor]:
-        """Pieces of a frame, and which of its pixels have joined; all have in the last frame."""
-        stock, way = self.stock, self.ways[self.left(number) - 1]
-        share = 1 - (self.left(number) - 1) / len(self.ways)
-        before, after = (rendered(p, stock, 0)[0] for p in (pieces, way))
-        wrap = (stock.periodic, stock.periodic)
-        right, down = seam_costs(before, after, wrap=wrap)
-        moved = warp(home[None].double(), backward.double(), periodic=stock.periodic, cubic=False)
-        must = self.turn <= share
-        costs = torch.stack([moved[0], 0.1 * (1 - moved[0])], -1)
-        at_home = cut_seam(
-            right, down, torch.zeros_like(must), must, unary=costs.to(right), solver=self.solver
-        )
-        table = [torch.cat(pair) for pair in zip(_table(pieces), _table(way), strict=True)]
-        owner = torch.where(at_home, way.owner + len(pieces.which), pieces.owner)
-        old = torch.where(at_home, owner, pieces.before)
-        age = torch.where(at_home, OLD, pieces.age)
-        return Pieces(owner, old, age, *table), at_home
-
-
-def warp_error(
-    texture: Float[Tensor, "c h w"],
-    warped: Float[Tensor, "c h w"],
-    confidence: Float[Tensor, "h w"],
-) -> float:
-    """Root mean square difference of two images where the confidence is at least `VISIBLE`.
-
-    Example:
-        >>> warp_error(torch.ones(1, 2, 2), torch.zeros(1, 2, 2), torch.ones(2, 2))
-        1.0
-    """
-    seen = confidence >= VISIBLE
-    if not bool(seen.any()):
-        return 0.0
-    return float((texture - warped)[:, seen].square().mean().sqrt())

@@ -2,23 +2,25 @@
 
 Which piece shows at a pixel is a labeling, carried from frame to frame and improved by min-cuts.
 Its energy has three terms: seams that show, pieces whose motion differs from the flow, and pixels
-that change against the frame before.
+that differ from the warped frame before: the soft constraint of the paper.
 
 Source: Kwatra et al. 2005, section 4.1 (what a frame should be), 2003 (costs of seams).
 """
 
-import math
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from torchtex.cuts.mincut import MinCut
 from torchtex.cuts.seams import cut_patch, present_seams
-from torchtex.recipes.pieces import OLD, Pieces, Stock, means
+from torchtex.recipes.frame_squares import Spot, fullest, kept, rim_of, spot_of
+from torchtex.recipes.piece_motion import advanced, middles, speeds, within
+from torchtex.recipes.piece_search import best_part, use_of
+from torchtex.recipes.pieces import OLD, Pieces, Stock
 from torchtex.sources import pixel_places
 
 INSIDE = 0.02
@@ -27,9 +29,6 @@ INSIDE = 0.02
 MARGIN = 8
 """How far a piece may grow in one frame, in pixels."""
 
-Spot = tuple[Tensor, Tensor]
-"""Rows (n, 1) and columns (1, m) of a rectangle, around the border of a tile."""
-
 
 @dataclass(frozen=True)
 class Costs:
@@ -37,16 +36,16 @@ class Costs:
 
     Args:
         follow: of the difference between a piece's motion and the flow, in pixels, per pixel.
-        hold: of the difference to the frame before, where a pixel changes its piece.
+        hold: of the difference to the warped frame before.
         repeat: of parts of the exemplar that a frame shows already, in the search for new pieces.
 
     Example:
         >>> Costs().hold
-        0.1
+        0.3
     """
 
     follow: float = 0.03
-    hold: float = 0.1
+    hold: float = 0.3
     repeat: float = 1.0
 
 
@@ -59,6 +58,8 @@ class Canvas:
         flow: (2, h, w), from that frame to this one.
         costs: weights of the energy.
         solver: of the min-cuts.
+        last: the frame before; its structure tells how pieces move. Else they move on average.
+        wished: that frame, warped. Else what the pieces show after their move is held to.
 
     Example:
         >>> from torchtex.recipes.pieces import pieces_of, stock_of
@@ -79,33 +80,22 @@ class Canvas:
         flow: Float[Tensor, "2 h w"],
         costs: Costs = Costs(),
         solver: MinCut | None = None,
+        *,
+        last: Float[Tensor, "c h w"] | None = None,
+        wished: Float[Tensor, "c h w"] | None = None,
     ) -> None:
         self.pieces, self.stock, self.costs, self.solver = pieces, stock, costs, solver
         self.flow = flow.permute(1, 2, 0).double()
         self.here = pixel_places(stock.size, flow.device)
-        self.speed = means(self.flow.reshape(-1, 2), pieces.owner.flatten(), len(pieces.which))
-        self.middle = self._middles()
+        self.speed = speeds(pieces, self.flow, last)
+        self.middle = middles(pieces, stock)
         self.bare = pieces.owner < 0  # pixels that no piece of the frame before has come to
-        self.views = self.prior = torch.empty(0)
+        self.wished, self.views, self.prior = wished, torch.empty(0), torch.empty(0)
 
     def move(self) -> None:
-        """Every piece by its mean flow; where two come to lie on each other, the truer one."""
-        p, (h, w) = self.pieces, self.stock.size
-        place = p.place + self.speed
-        shift = ((place + 0.5).floor() - (p.place + 0.5).floor()).long()
-        to, inside = self._inside(self.here + shift[p.owner])
-        off = (self.flow - self.speed[p.owner]).square().sum(-1).sqrt()
-        # the least number wins: first by the difference, then by the place, so that none are equal
-        rank = (off * 256).clamp(max=2**20).long() * (h * w) + _flat(self.here, w)
-        nobody = 2**62
-        best = torch.full((h * w,), nobody, dtype=torch.long, device=to.device)
-        best = best.scatter_reduce(0, _flat(to, w)[inside], rank[inside], "amin")
-        self.bare = (best == nobody).view(h, w)
-        source = torch.where(best < nobody, best % (h * w), 0)
-        owner, before, age = (x.flatten()[source].view(h, w) for x in (p.owner, p.before, p.age))
-        owner = torch.where(self.bare, -1, owner)
-        self.pieces = replace(p, owner=owner, before=before, age=age, place=place)
-        self.middle = self._middles()
+        """Every piece a step further; where two come to lie on each other, the truer one."""
+        self.pieces, self.bare = advanced(self.pieces, self.stock, self.flow, self.speed)
+        self.middle = middles(self.pieces, self.stock)
 
     def drop(self, least: int) -> None:
         """Takes away pieces of fewer pixels."""
@@ -125,7 +115,7 @@ class Canvas:
         steps = torch.tensor([[0, 1], [1, 0], [0, -1], [-1, 0]], device=owner.device)
         fresh = left = self.here[owner < 0]
         while len(left):
-            near, inside = self._inside(left[:, None] + steps)
+            near, inside = within(self.stock, left[:, None] + steps)
             who = torch.where(inside, owner[near[..., 0], near[..., 1]], -1)
             one, spot = who.clamp(min=0), left[:, None].expand(-1, 4, -1)
             off = (self.flow[left[:, 0], left[:, 1]][:, None] - self.speed[one]).square().sum(-1)
@@ -145,14 +135,14 @@ class Canvas:
         """Looks at what the pieces show now; changes are measured against it."""
         owner = self.pieces.owner.clamp(min=0)
         self.views = self._seen(owner, self.here)
-        self.prior = self.views[0].clone()
+        self.prior = self.views[0].clone() if self.wished is None else self.wished
 
     def cover(self, most: int) -> int:
         """New pieces where no old one reaches, the largest hole first; returns how many."""
         half = max(1, self.stock.side // 2)
         for made in range(most):
             holes = (self.pieces.owner < 0).double()
-            corner = self._largest(holes, half)
+            corner = fullest(self.stock, holes, half)
             if corner is None or not self._put(corner, least=1):
                 return made
         return most
@@ -173,11 +163,11 @@ class Canvas:
         for _ in range(most):
             right, down = present_seams(self.views)
             seams = (F.pad(right, (0, 1)) + F.pad(down, (0, 0, 0, 1))).double()
-            corner = self._largest(torch.where(tried, 0, seams), half, bar * half)
+            corner = fullest(self.stock, torch.where(tried, 0, seams), half, bar * half)
             if corner is None:
                 break
             made += self._put(corner, least=side**2 // 8)
-            tried[self._spot(corner, (side, side))] = True
+            tried[spot_of(self.stock, corner, (side, side))] = True
         return made
 
     def mend(self, least: int, some: Collection[int] | None = None) -> None:
@@ -201,20 +191,6 @@ class Canvas:
         used, index = torch.stack([owner, before]).unique(return_inverse=True)
         return Pieces(index[0], index[1], age, p.which[used], p.source[used], p.place[used])
 
-    def _inside(self, at: Int[Tensor, "*n 2"]) -> tuple[Int[Tensor, "*n 2"], Tensor]:
-        """Places in the frame, and which of them were in it before."""
-        extent = torch.tensor(self.stock.size, device=at.device)
-        if self.stock.periodic:
-            return at.remainder(extent), torch.ones_like(at[..., 0], dtype=torch.bool)
-        inside = ((at >= 0) & (at < extent)).all(-1)
-        return torch.minimum(at.clamp(min=0), extent - 1), inside
-
-    def _middles(self) -> Float[Tensor, "k 2"]:
-        p = self.pieces
-        has = p.owner >= 0
-        gap = self.stock.wrapped(self.here[has] - p.place[p.owner[has]])
-        return p.place + means(gap, p.owner[has], len(p.which))
-
     def _able(self, owner: Tensor, at: Tensor) -> Tensor:
         """Whether pieces can show at those places."""
         near = self.stock.wrapped(at - self.middle[owner]).square().sum(-1) <= self.stock.reach**2
@@ -225,33 +201,6 @@ class Canvas:
         """Views of what pieces show at those places."""
         return self.stock.views(self.pieces.which[owner], self.stock.units(self.pieces, owner, at))
 
-    def _largest(self, what: Tensor, half: int, bar: float = 0.0) -> tuple[int, int] | None:
-        """Corner of the piece around the square of that side that holds most; None up to a bar."""
-        stock, total = self.stock, what[None, None]
-        if stock.periodic:
-            total = F.pad(total, (0, half - 1, 0, half - 1), mode="circular")
-        mean = F.avg_pool2d(total, half, 1)[0, 0]
-        top = int(mean.argmax())
-        if float(mean.flatten()[top]) * half**2 <= bar:
-            return None
-        found = [at - (stock.side - half) // 2 for at in divmod(top, mean.shape[1])]
-        return self._kept((found[0], found[1]), stock.side)
-
-    def _kept(self, corner: tuple[int, int], side: int) -> tuple[int, int]:
-        """The corner moved so that a square of that side is in the frame."""
-        row, col = (
-            at % extent if self.stock.periodic else min(max(at, 0), extent - side)
-            for at, extent in zip(corner, self.stock.size, strict=True)
-        )
-        return row, col
-
-    def _spot(self, corner: tuple[int, int], extent: tuple[int, int]) -> Spot:
-        rows, cols = (
-            (first + torch.arange(count, device=self.here.device)) % whole
-            for first, count, whole in zip(corner, extent, self.stock.size, strict=True)
-        )
-        return rows[:, None], cols[None]
-
     def _put(self, corner: tuple[int, int], least: int) -> int:
         """The part of an exemplar that fits there best, as a new piece.
 
@@ -260,14 +209,15 @@ class Canvas:
         """
         stock, p = self.stock, self.pieces
         box = stock.side + 2 * stock.ring
-        begin = self._kept((corner[0] - stock.ring, corner[1] - stock.ring), box)
-        at = self._spot(begin, (box, box))
+        begin = kept(stock, (corner[0] - stock.ring, corner[1] - stock.ring), box)
+        at = spot_of(self.stock, begin, (box, box))
         row, col = ((c - b) % e for c, b, e in zip(corner, begin, stock.size, strict=True))
         core = torch.zeros(box, box, dtype=torch.bool, device=at[0].device)
         core[row : row + stock.side, col : col + stock.side] = True
         old, holes = self.views[:, :, at[0], at[1]], p.owner[at] < 0
         weight = torch.where(holes, 0.0, torch.where(core, INSIDE, 1.0))
-        found = self._search(old[0], weight)
+        used = use_of(p, stock)
+        found = best_part(stock, old[0], weight, used, self.costs.repeat)
         if found is None:
             return 0
         spot = pixel_places((box, box), at[0].device)
@@ -275,7 +225,7 @@ class Canvas:
         new = stock.views(torch.full_like(units[..., 0], found[0]), units)
         speed = self.flow[at][core].mean(0)
         unary = self._unary(at, old, new, speed)
-        stays = self._rim(begin, box) & ~holes
+        stays = rim_of(stock, begin, box) & ~holes
         labels = cut_patch(old, new, stays, holes, unary=unary, solver=self.solver)
         if int(labels.sum()) < least:
             return 0
@@ -290,48 +240,6 @@ class Canvas:
         self.middle = torch.cat([self.middle, first + spot[labels].double().mean(0)])
         self._paste(at, labels, len(p.which), new)
         return 1
-
-    def _rim(self, begin: tuple[int, int], box: int) -> Tensor:
-        """Outermost pixels of a square, but for those at the border of the frame."""
-        rim = torch.zeros(box, box, dtype=torch.bool, device=self.here.device)
-        for axis in (0, 1):
-            for end, border in ((0, 0), (-1, self.stock.size[axis] - box)):
-                if self.stock.periodic or begin[axis] != border:
-                    rim.select(axis, end).fill_(True)
-        return rim
-
-    def _search(self, wished: Tensor, weight: Tensor) -> tuple[int, int, int] | None:
-        """Exemplar, row and column of what fits best and is not shown too often already."""
-        best, found, box = math.inf, None, len(weight)
-        if not bool((weight > 0).any()):
-            weight = torch.ones_like(weight)
-        for number, (search, used) in enumerate(
-            zip(self.stock.searches, self._used(), strict=True)
-        ):
-            if search is None:
-                continue
-            cost = search(wished[None], weight.to(wished))[0] + 1e-4 * float(weight.sum())
-            shown = F.avg_pool2d(used[None, None], box, 1)[0, 0]
-            cost = cost * (1 + self.costs.repeat * shown)
-            top = int(cost.argmin())
-            if float(cost.flatten()[top]) < best:
-                best = float(cost.flatten()[top])
-                found = (number, *divmod(top, cost.shape[1]))
-        return found
-
-    def _used(self) -> list[Float[Tensor, "_ _"]]:
-        """How often each pixel of each exemplar is shown, over the mean of that."""
-        p, stock, counts = self.pieces, self.stock, []
-        has = p.owner >= 0
-        owner = p.owner[has]
-        places = stock.units(p, owner, self.here[has]) // stock.steps
-        for number, usable in enumerate(stock.usable):
-            h, w = usable.shape
-            mine = places[p.which[owner] == number]
-            flat = mine[:, 0].clamp(0, h - 1) * w + mine[:, 1].clamp(0, w - 1)
-            counts.append(torch.bincount(flat, minlength=h * w).view(h, w).double())
-        mean = max(len(owner), 1) / sum(int(usable.sum()) for usable in stock.usable)
-        return [count / mean for count in counts]
 
     def _unary(self, at: Spot, old: Tensor, new: Tensor, speed: Tensor) -> Tensor:
         """Costs of what does not follow the flow, and of what changes, for old and new pixels."""
@@ -370,7 +278,7 @@ class Canvas:
                 torch.minimum(x.clamp(min=0), low.new_tensor(stock.size)) for x in (low, high)
             )
         count = torch.minimum(high - low, low.new_tensor(stock.size))
-        at = self._spot((int(low[0]), int(low[1])), (int(count[0]), int(count[1])))
+        at = spot_of(self.stock, (int(low[0]), int(low[1])), (int(count[0]), int(count[1])))
         here, own = self.here[at], self.pieces.owner[at] == number
         near = F.max_pool2d(own[None, None].float(), 2 * MARGIN - 1, 1, MARGIN - 1)[0, 0] > 0
         one = torch.full_like(here[..., 0], number)
@@ -382,7 +290,3 @@ class Canvas:
         labels = cut_patch(old, new, ~can & ~own, own, unary=unary, solver=self.solver)
         if bool((labels & ~own).any()):
             self._paste(at, labels, number, new)
-
-
-def _flat(at: Int[Tensor, "*n 2"], width: int) -> Int[Tensor, "*n"]:
-    return at[..., 0] * width + at[..., 1]
