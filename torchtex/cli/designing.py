@@ -1,134 +1,39 @@
-"""`torchtex complete` and `torchtex design`: holes filled patch by patch, and new textures."""
+"""`torchtex design`: new textures from deformed layers."""
 
-import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from torchtex.cli.base import Watch, app, progress_bar
-from torchtex.cli.files import (
-    choose,
-    exemplar_path,
-    extent_of,
-    load_exemplars,
-    parse_size,
-    read_files,
-    same_channels,
-    solver_of,
+from torchtex.cli.design_options import (
+    Order,
+    Patch,
+    Searches,
+    enlarge_of,
+    order_of,
+    plan_of,
+    scribbled,
+    search_of,
 )
-from torchtex.cli.layers import (
-    Flip,
-    Layers,
-    Methods,
-    Mirror,
-    load_scribbles,
-    method_of,
-    numbered,
-    spread_of,
-)
+from torchtex.cli.files import load_exemplars, parse_size, read_files
+from torchtex.cli.layers import Flip, Layers, Methods, Mirror, method_of, numbered, spread_of
 from torchtex.cli.options import (
-    Base,
     Bits,
     KeepPartial,
     Labels,
     Output,
     PatchPicture,
-    Plain,
     Quiet,
     Report,
     SeamPicture,
     Seed,
-    Solver,
     Threads,
 )
 from torchtex.cli.recipe import Outputs, carry_out, described, kept_options, patch_pictures
 
 if TYPE_CHECKING:
-    from torchtex.layers.plans import Plan
-    from torchtex.recipes.design_parts import Enlarge
     from torchtex.recipes.montage import Montage
-
-SEARCHES = ("exhaustive", "fft", "qtp")
-
-Patch = Annotated[int, typer.Option(help="Side of the patches that fill holes, in pixels.")]
-Order = Annotated[
-    str, typer.Option(help="scan: row by row, or confidence: where most is known first.")
-]
-Searches = Annotated[
-    str, typer.Option(help="For patches: fft or exhaustive, all places, or qtp, coarse to fine.")
-]
-
-
-@app.command()
-def complete(
-    context: typer.Context,
-    image: Base,
-    output: Output,
-    mask: Annotated[str, typer.Option(help="White in the holes, of the size of the image.")],
-    source: Annotated[
-        list[str] | None,
-        typer.Option(help="Where patches come from, repeated for several; else the image."),
-    ] = None,
-    patch: Patch = 32,
-    order: Order = "scan",
-    search: Searches = "fft",
-    tolerance: Annotated[
-        float, typer.Option(help="How much dearer than the best a drawn patch may be; 0.1: 10%.")
-    ] = 0.0,
-    rim: Annotated[
-        int, typer.Option(help="Pixels around holes that patches may replace for better seams.")
-    ] = 8,
-    apart: Annotated[
-        int, typer.Option(help="Least pixels from a source's own place, in one of the same size.")
-    ] = 0,
-    fresh: Annotated[
-        float, typer.Option(help="How much dearer a patch is that was all used once; 2: 3 times.")
-    ] = 2.0,
-    plain: Plain = False,
-    solver: Solver = None,
-    seed: Seed = 0,
-    threads: Threads = None,
-    bits: Bits = 8,
-    labels: Labels = None,
-    report: Report = None,
-    seams: SeamPicture = None,
-    patch_map: PatchPicture = None,
-    keep_partial: KeepPartial = False,
-    quiet: Quiet = False,
-) -> None:
-    """Complete holes with patches of the picture, or of sources, joined by min-cuts."""
-    how, which, chosen = _order(order), _search(search), solver_of(solver)
-    read = {name: exemplar_path(name) for name in (image, *(source or []))} | {mask: Path(mask)}
-
-    def make(watch: Watch) -> "Montage":
-        from torchtex import image as images
-        from torchtex.recipes import completion as recipe
-
-        whole = images.load(exemplar_path(image), alpha=False, name="image").image
-        holes = images.load_mask(mask, extent_of(whole), name="mask")
-        loaded = [images.load(exemplar_path(name), name="source") for name in source or []]
-        whole, *sources = same_channels([whole, *(item.image for item in loaded)])
-        return recipe.complete(
-            whole,
-            holes,
-            source=sources or None,
-            source_masks=[item.mask for item in loaded] or None,
-            patch=patch,
-            order=how,
-            search=which,
-            tolerance=tolerance,
-            rim=rim,
-            apart=apart,
-            fresh=fresh,
-            poisson=not plain,
-            solver=chosen,
-            seed=seed,
-            on_step=watch,
-        )
-
-    outputs = Outputs(output, bits, labels, report, patch_pictures(seams, patch_map))
-    carry_out(context, outputs, read, make, threads=threads, keep_partial=keep_partial, quiet=quiet)
 
 
 @app.command()
@@ -181,6 +86,15 @@ def design(
     scale: Annotated[str | None, typer.Option(help="Scale whole exemplars, as 0.8:1.25.")] = None,
     mirror: Mirror = 0.0,
     flip: Flip = 0.0,
+    variety: Annotated[
+        float, typer.Option(help="How much a design prefers some parts to others; 0: all alike.")
+    ] = 0.4,
+    upright: Annotated[
+        bool, typer.Option("--upright", help="Mend seams with pieces that are not turned.")
+    ] = False,
+    mend: Annotated[
+        int | None, typer.Option(help="Places whose seams are mended; else as many as suit.")
+    ] = None,
     patch: Patch = 32,
     order: Order = "scan",
     search: Searches = "fft",
@@ -209,8 +123,8 @@ def design(
         raise ValueError("exemplar: none given; name at least one picture, or give --recipe FILE")
     if count < 1 or workers < 1:
         raise ValueError(f"count={count} and workers={workers} must be at least 1")
-    extent, way, kind = parse_size(size), method_of(method), _enlarge(enlarge)
-    how, which = _order(order), _search(search)
+    extent, way, kind = parse_size(size), method_of(method), enlarge_of(enlarge)
+    how, which = order_of(order), search_of(search)
     if scribbles and len(scribbles) != len(names):
         raise ValueError(
             f"scribbles: {len(scribbles)} given for {len(names)} exemplars; give one each"
@@ -224,10 +138,12 @@ def design(
     from torchtex.layers.plans import Chaos
     from torchtex.recipes.design_parts import Layering
     from torchtex.recipes.layered import Filling
+    from torchtex.recipes.mending import Mending
 
     layering = Layering(
-        layers, way, Chaos(chaos, combined, iterations), _plan(plan),
-        filling=Filling(patch, how, which),
+        layers, way, Chaos(chaos, combined, iterations), plan_of(plan),
+        filling=Filling(patch, how, which), mending=Mending(mend, turns=not upright),
+        variety=variety,
     )  # fmt: skip
 
     def made(count: int, watch: Watch) -> "list[Montage]":
@@ -238,7 +154,7 @@ def design(
             raise ValueError("exemplar is transparent in places; give one that is not, or cut it")
         segmentations = None
         if scribbles:
-            segmentations = _scribbled(zs, scribbles)
+            segmentations = scribbled(zs, scribbles)
         return recipes.designs(
             zs, extent, count, layering=layering, segmentations=segmentations, spread=spread,
             textures=textures, enlarge=kind, cyclic_overlap=cyclic, poisson=poisson, seed=seed,
@@ -280,42 +196,3 @@ def _several(
         about = described(context, read, options | {"count": 1, "seed": result.seed})
         outputs(number).write(result, about | result.report())
         print(numbered(output, number))
-
-
-def _scribbled(zs: Any, scribbles: list[str]) -> Any:
-    from torchtex.layers.segment import segment
-
-    return [
-        segment(z, scribbles=load_scribbles(name, extent_of(z)))
-        for z, name in zip(zs, scribbles, strict=True)
-    ]
-
-
-def _plan(name: str | None) -> "Plan | None":
-    if name is None:
-        return None
-    from torchtex import image as images
-    from torchtex.layers.plans import Plan
-
-    try:
-        value = json.loads(images.read_bytes(name, name="plan"))
-    except ValueError as error:
-        if "plan=" in str(error):
-            raise
-        raise ValueError(f"plan={name!r} is no JSON ({error})") from None
-    return Plan.read(value.get("plan", value) if isinstance(value, dict) else value)
-
-
-def _order(name: str) -> Literal["scan", "confidence"]:
-    choose("order", name, ("scan", "confidence"))
-    return "confidence" if name == "confidence" else "scan"
-
-
-def _search(name: str) -> Literal["exhaustive", "fft", "qtp"]:
-    choose("search", name, SEARCHES)
-    return "qtp" if name == "qtp" else "exhaustive" if name == "exhaustive" else "fft"
-
-
-def _enlarge(name: str) -> "Enlarge":
-    choose("enlarge", name, ("graphcut", "wavelet", "layers"))
-    return "wavelet" if name == "wavelet" else "layers" if name == "layers" else "graphcut"
