@@ -61,7 +61,7 @@ def animate(
     hold: Annotated[
         float,
         typer.Option(help="How closely to keep to the warped frame before, against 1 for a seam."),
-    ] = 0.3,
+    ] = 0.2,
     follow: Annotated[
         float, typer.Option(help="Cost of content that moves otherwise than the flow.")
     ] = 0.03,

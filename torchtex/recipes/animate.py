@@ -54,7 +54,7 @@ class Motion:
     """
 
     patch: int = 48
-    hold: float = 0.3
+    hold: float = 0.2
     follow: float = 0.03
     repeat: float = 1.0
     mend: int = 6

@@ -41,11 +41,11 @@ class Costs:
 
     Example:
         >>> Costs().hold
-        0.3
+        0.2
     """
 
     follow: float = 0.03
-    hold: float = 0.3
+    hold: float = 0.2
     repeat: float = 1.0
 
 
