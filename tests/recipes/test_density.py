@@ -217,11 +217,11 @@ def test_bad_input_is_one_sentence() -> None:
 
 def heap(contrast: float) -> tuple[Tensor, Elements]:
     """Light tiles in rows, and what looks much like them between, or is plain."""
-    row, col = torch.meshgrid(torch.arange(72), torch.arange(72), indexing="ij")
-    light = ((row // 6) % 4 == 0) & (col % 8 < 6)
+    row, col = torch.meshgrid(torch.arange(84), torch.arange(80), indexing="ij")
+    light = (row % 28 < 9) & (col % 8 < 7)
     between = 0.2 + contrast * ((row // 2 + col // 2) % 2).double()
-    image = torch.where(light, 0.9, between)[None] + 0.01 * noise(1, 72, 72)
-    number = (row // 24) * 9 + col // 8 + 1
+    image = torch.where(light, 0.9, between)[None] + 0.01 * noise(1, 84, 80)
+    number = (row // 28) * 10 + col // 8 + 1
     return image.expand(3, -1, -1).contiguous(), Elements(torch.where(light, number, 0))
 
 

@@ -258,7 +258,7 @@ def _level(levelled: Tensor, plain: Tensor) -> Tensor:
 def _free(elements: Elements, image: Tensor) -> Tensor:
     """Where the ground is, if it is more than gaps between elements."""
     free = distance(elements.labels.to(image.device) > 0, _RIM) > _RIM
-    if not _open(free, elements, image):
+    if not _patch(free) or not _open(free, elements, image):
         raise ValueError(
             f"elements cover {100 * elements.cover:.0f} % of the picture and lie close together, "
             "with no ground between them to put in their place; give a picture of the ground"
@@ -278,14 +278,14 @@ def _check_room(elements: Elements, image: Tensor) -> None:
 
 
 def _open(free: Tensor, elements: Elements, image: Tensor) -> bool:
-    """Whether there is a ground: room for patches, and either much of it or little to see on it.
+    """Whether there is a ground: nearly all that is seen, or room for patches and plain.
 
     In a heap of pebbles, what lies between those of one colour is other pebbles.
     """
-    if _patch(free) < min(_PATCHES[0], max(_PATCHES[-1], math.ceil(_ROOM * elements.typical))):
-        return False
     if elements.cover <= _SPARSE:
         return True
+    if _patch(free) < min(_PATCHES[0], max(_PATCHES[-1], math.ceil(_ROOM * elements.typical))):
+        return False
     steps, inside = [], []
     for axis in (0, 1):
         step, n = image.detach().diff(dim=axis + 1).abs().mean(0), free.shape[axis] - 1
