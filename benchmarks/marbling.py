@@ -29,8 +29,9 @@ from torchtex import image as images
 from torchtex.layers.marbling import marble
 from torchtex.layers.tines import Comb, Tine, Wave
 from torchtex.layers.whirls import Circle, Drop, Vortex
+from torchtex.meshes.shapes import SHAPES
 from torchtex.recipes.graphcut import graphcut
-from torchtex.render.pictures import OBJECTS, texture_picture
+from torchtex.render.pictures import texture_picture
 
 SIDE = 128
 SINGLE = {
@@ -157,7 +158,7 @@ def main():
     tile = large[:, :256, :256].contiguous()
     shown = {
         name: timed(lambda name=name: texture_picture(tile, name), options.repeats)
-        for name in OBJECTS
+        for name in SHAPES
     }
     relief = timed(lambda: texture_picture(tile, "sphere", normals=1.0, ground=tile), 3)
     shown["sphere, relief, floor"] = relief

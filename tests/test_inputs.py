@@ -10,15 +10,8 @@ from conftest import noise
 from torch import Tensor
 
 from torchtex import inputs
-from torchtex.inputs import (
-    Layout,
-    check_seed,
-    check_size,
-    layout_of,
-    memory_of,
-    places_of,
-    usable_exemplars,
-)
+from torchtex.inputs import check_seed, check_size, memory_of, usable_exemplars
+from torchtex.layouts import Layout, layout_of, places_of
 
 Z = noise(3, 10, 12)
 FULL = torch.ones(10, 12, dtype=torch.bool)

@@ -74,7 +74,7 @@ class Exact:
     """
 
     def fit(self, keys: Float[Tensor, "m d"]) -> "FaissIndex":
-        faiss = _faiss()
+        faiss = faiss_library()
         index = faiss.IndexFlatL2(keys.shape[1])
         index.add(_array(keys))
         return FaissIndex(index, keys)
@@ -109,7 +109,7 @@ class Clustered:
         m, d = keys.shape
         if m < self.least:
             return Exact().fit(keys)
-        faiss = _faiss()
+        faiss = faiss_library()
         clusters = min(m, self.clusters or max(1, round(2 * m**0.5)))
         quantizer = faiss.IndexFlatL2(d)
         index = faiss.IndexIVFFlat(quantizer, d, clusters)
@@ -146,6 +146,19 @@ class FaissIndex:
         )
         squared, order = squared.sort(dim=1, stable=True)
         return squared, labels.gather(1, order)
+
+
+def faiss_library() -> Any:
+    """faiss, with as many threads as torch has.
+
+    Example:
+        >>> faiss_library().omp_get_max_threads() == torch.get_num_threads()
+        True
+    """
+    import faiss  # after torch, so that one OpenMP runtime is already in place
+
+    faiss.omp_set_num_threads(torch.get_num_threads())
+    return faiss
 
 
 def two_sided_minima(
@@ -251,10 +264,3 @@ def _topk(scores: Tensor, k: int) -> tuple[Tensor, Tensor]:
 
 def _array(x: Tensor) -> NDArray[np.float32]:
     return np.ascontiguousarray(x.detach().cpu().numpy(), dtype=np.float32)
-
-
-def _faiss() -> Any:
-    import faiss  # after torch, so that one OpenMP runtime is already in place
-
-    faiss.omp_set_num_threads(torch.get_num_threads())
-    return faiss

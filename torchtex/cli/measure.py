@@ -60,7 +60,7 @@ def _info() -> dict[str, Any]:
     import torchtex
     from torchtex import data
     from torchtex.cuts.mincut import solvers
-    from torchtex.matching import _faiss
+    from torchtex.matching import faiss_library
 
     versions = {"torchtex": torchtex.__version__, "python": platform.python_version()}
     for name in ("torch", "numpy", "kornia", "PyWavelets", "faiss-cpu", "Pillow"):
@@ -74,7 +74,7 @@ def _info() -> dict[str, Any]:
         devices.append("mps")
     if hasattr(torch, "xpu") and torch.xpu.is_available():
         devices.append("xpu")
-    faiss = _faiss()
+    faiss = faiss_library()
     options = getattr(faiss, "get_compile_options", str)
     return {
         "versions": versions,

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchtex.inputs import places_of
+from torchtex.layouts import places_of
 from torchtex.patches import SsdSearch, ssd_exhaustive, ssd_search, summed_area
 from torchtex.qtp import Qtp, QtpIndex
 

@@ -14,17 +14,14 @@ from torch import Tensor
 
 from torchtex.inputs import (
     Exemplars,
-    Layout,
     Masks,
     check_not_negative,
     check_seed,
     check_size,
-    costs_of_places,
-    layout_of,
     memory_of,
-    places_of,
     usable_exemplars,
 )
+from torchtex.layouts import Layout, costs_of_places, layout_of, places_of
 from torchtex.model import LabelSpace
 from torchtex.patches import SsdSearch, pick, ssd_exhaustive, ssd_search
 from torchtex.qtp import Qtp, QtpIndex
