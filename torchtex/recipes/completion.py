@@ -19,10 +19,11 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchtex.cuts.mincut import MinCut, default_solver
-from torchtex.cuts.poisson import Guidance, solve
+from torchtex.cuts.poisson import Guidance
 from torchtex.inputs import Exemplars, Masks, check_not_negative, check_seed, usable_exemplars
 from torchtex.quadratic import threads
 from torchtex.recipes.laying import Canvas, Laying, canvas_of, known_views
+from torchtex.recipes.levelling import levelled
 from torchtex.recipes.montage import Montage, Stage
 from torchtex.recipes.patch_finders import Search, finder_of
 from torchtex.sources import copied
@@ -144,13 +145,11 @@ def complete(
 
 
 def _evened(canvas: Canvas, texture: Tensor) -> Tensor:
-    """Pixels found anew from their differences where patches are, on seams the mean of both."""
+    """Levels evened along seams, where differences are the mean of those of both sides."""
     here, below, right, above, left = canvas.views
     across = (right - here)[:, :, :-1] + (here - left)[:, :, 1:]
     down = (below - here)[:, :-1] + (here - above)[:, 1:]
-    changed = ~canvas.held
-    guidance = Guidance(across / 2, down / 2)
-    return solve(guidance, texture, changed, boundary="free").clamp(0, 1)
+    return levelled(texture, Guidance(across / 2, down / 2), ~canvas.held)
 
 
 def _whole(positions: Tensor) -> Tensor:

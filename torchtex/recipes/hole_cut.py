@@ -3,7 +3,7 @@
 The cost of a seam between neighbors is how unlike their sources are at both of them, as far as they
 are known; neighbors that are copied together cost nothing.
 
-Source: Pritch et al. 2009, shift maps; Kwatra et al. 2003 (cost of a seam); Perez et al. 2003.
+Source: Pritch et al. 2009, shift maps; Kwatra et al. 2003 (cost of a seam).
 """
 
 from collections.abc import Callable
@@ -16,13 +16,13 @@ from torch import Tensor
 
 from torchtex.cuts.expansion import Move, expand
 from torchtex.cuts.mincut import MinCut
-from torchtex.cuts.poisson import Guidance, solve
+from torchtex.cuts.poisson import Guidance
+from torchtex.recipes.levelling import levelled
 from torchtex.sources import pixel_places
 
 _SWEEPS = 2  # after the first, of the offsets that helped in it
 _NEAR = 6  # pixels around one that say how flat an image is there
 _UNSEEN = 2.0  # cost of a seam where neither side has a known pixel to compare
-_UNLIKE = 0.25  # distance of colours from which on a seam is an edge of things, and stays one
 
 
 @dataclass(frozen=True)
@@ -129,14 +129,8 @@ class Hole:
         if not poisson:
             return pasted
         labels, views = _flat(places, self.known.shape[1]), self._views()
-        slopes = []
-        for axis, view in ((1, 1), (0, 2)):
-            slope = _slope(views, *_ends(labels, axis), view)
-            step = pasted.diff(dim=axis + 1)
-            inside = torch.stack(_ends(self.target, axis)).all(0)
-            slopes.append(torch.where(inside, _kept(slope, step), slope))
-        guidance = Guidance(slopes[0], slopes[1])
-        return solve(guidance, pasted, self.target, boundary="free").clamp(0, 1)
+        right, down = (_slope(views, *_ends(labels, axis), view) for axis, view in ((1, 1), (0, 2)))
+        return levelled(pasted, Guidance(right, down), self.target)
 
     def _views(self) -> Float[Tensor, "5 n k"]:
         """Channels and 1 where known: at a pixel, and to its right, below, left and above it."""
@@ -208,16 +202,6 @@ def _slope(
     first, second = here[..., -1:] * after[..., -1:], before[..., -1:] * there[..., -1:]
     slope = first * (after - here)[..., :-1] + second * (there - before)[..., :-1]
     return (slope / (first + second).clamp(min=1)).movedim(-1, 0)
-
-
-def _kept(slope: Float[Tensor, "k a b"], step: Float[Tensor, "k a b"]) -> Float[Tensor, "k a b"]:
-    """The slope where it is near to the step there is, and the step where they are far apart.
-
-    A change of light is levelled; two things of unlike colours keep the edge between them, or
-    their colours would run into each other.
-    """
-    apart = (step - slope).square().sum(0) / _UNLIKE**2
-    return slope + (step - slope) * (apart / (1 + apart))
 
 
 def _flat(places: Int[Tensor, "*n 2"], width: int) -> Int[Tensor, "*n"]:
