@@ -117,6 +117,7 @@ def one(photo, flow, patch, options, file):
         strips.append(torch.cat(shown, 2))
     if options.pictures:
         save(options.pictures / f"{file}.png", torch.cat(strips, 1))
+    row["frames"] = options.frames
     row["cpu"] = sorted(spent[1:])[len(spent) // 2]
     return row
 
@@ -168,7 +169,7 @@ def table(report):
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for key, row in report["rows"].items():
-        name = ", ".join(key.split("/")[:2])
+        name = ", ".join(key.split("/")[:2]) + f", {row['frames']} frames"
         still = row["still"]
         lines.append(
             f"| {name} | still | {row['least']:.4f} moved | | "
@@ -208,7 +209,7 @@ def main():
     torch.set_num_threads(options.threads)
     photos, file = common.photos_of(options), options.out / "flow.json"
     report = json.loads(file.read_text()) if file.exists() else {"rows": {}}
-    report |= {"environment": common.environment(options.threads), "frames": options.frames}
+    report["environment"] = common.environment(options.threads)
 
     def write():
         file.write_text(json.dumps(report, indent=1) + "\n")
