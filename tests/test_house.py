@@ -111,6 +111,8 @@ FLOORS = (
         "recipes.transfers",
         "recipes.detail",
         "recipes.levelling",
+        "recipes.torn_windows",
+        "recipes.block_seams",
     ),
     (
         "schedule",
@@ -141,6 +143,7 @@ FLOORS = (
         "recipes.pieces",
         "recipes.planting",
         "recipes.solid_parts",
+        "recipes.skeleton_blocks",
     ),
     (
         "recipes.laying",

@@ -3,6 +3,7 @@
 import doctest
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -18,11 +19,11 @@ from torchtex import metrics
 from torchtex.controls import Guide, SoftConstraint
 from torchtex.estep import Descend
 from torchtex.features import Gradients, Wavelets
-from torchtex.image import read_metadata
+from torchtex.image import read_metadata, resize
 from torchtex.matching import Chunked
 from torchtex.model import Search, exact_search
 from torchtex.result import Checkpoint, Progress, Result
-from torchtex.schedule import Level, default_schedule
+from torchtex.schedule import Level, default_schedule, is_complete
 from torchtex.starts import Blocks, RandomNeighborhoods
 from torchtex.synthesize import estimate_memory, synthesize
 
@@ -531,3 +532,19 @@ def test_a_run_on_an_accelerator_stays_there(options: dict[str, Any]) -> None:
     assert run.labels.is_cuda
     close = metrics.swd(run.texture.cpu(), stripes().float())
     assert close < 2 * metrics.swd(quick(stripes().float(), **options).texture, stripes().float())
+
+
+def test_a_level_says_whether_it_is_complete() -> None:
+    z = stripes(32, 32)
+    fine, coarse = Level(1.0, 8, 2), Level(0.5, 6, 2)
+    grid = fine.grid(40, 40, False)
+    assert not is_complete(fine, grid, [z])
+    assert is_complete(coarse, coarse.grid(40, 40, False), [resize(z, (16, 16))])
+    assert is_complete(replace(fine, complete=True), grid, [z])
+    assert not is_complete(replace(coarse, complete=False), grid, [z])
+    one, other = (
+        synthesize(z, (40, 40), schedule=[coarse, replace(fine, complete=complete)], seed=1)
+        for complete in (None, True)
+    )
+    assert not torch.equal(one.texture, other.texture)
+    assert other.settings["schedule"][1]["complete"] is True

@@ -25,12 +25,15 @@ class Level:
         size: width of the windows in pixels of that scale.
         steps: most EM iterations.
         stride: pixels between sites; a quarter of `size` unless given.
+        complete: whether neighborhoods that nobody uses are preferred (see `completeness` of
+            `synthesize`); None for the coarse levels whose distance matrix is small.
     """
 
     scale: float
     size: int
     steps: int
     stride: int | None = None
+    complete: bool | None = None
 
     def __post_init__(self) -> None:
         if not 0 < self.scale <= 1:
@@ -102,7 +105,9 @@ def roomy(plan: list[Level], exemplars: Sequence[Tensor]) -> list[Level]:
 
 
 def is_complete(level: Level, grid: Grid, exemplars: Sequence[Tensor]) -> bool:
-    """Whether the full distance matrix of a level is small enough to be worth it."""
+    """Whether a level says so, or is coarse and its full distance matrix small."""
+    if level.complete is not None:
+        return level.complete
     keys = sum(
         max(0, z.shape[1] - level.size + 1) * max(0, z.shape[2] - level.size + 1) for z in exemplars
     )

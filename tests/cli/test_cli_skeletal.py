@@ -56,6 +56,7 @@ def test_all_that_it_writes(run: Run, here: Path) -> None:
         ("--boundary", "periodic", "--seed", "5", "--feature", "haar"),
         ("--mask", "right.png", "--bits", "16"),
         ("--solver", "ortools", "--refine", "1"),
+        ("--no-mend", "--levels", "2"),
     ],
     ids=" ".join,
 )
@@ -82,6 +83,12 @@ def test_the_refined_texture_has_labels_too(run: Run, here: Path) -> None:
     assert run("skeleton", "z.png", *SIZE, "--refine", "1", "--labels", "l.npz").code == 0
     assert run("apply", "l.npz", "z.png", "-o", "again.png").code == 0
     assert torch.equal(pixels("again.png"), pixels("x.png"))
+
+
+def test_without_mending_all_pixels_are_copies(run: Run, here: Path) -> None:
+    assert run("skeleton", "z.png", *SIZE, "--no-mend").code == 0
+    found = {tuple(pixel) for pixel in pixels("x.png").flatten(1).T.tolist()}
+    assert found <= {tuple(pixel) for pixel in pixels("z.png").flatten(1).T.tolist()}
 
 
 def test_odd_sizes_are_told(run: Run, here: Path) -> None:

@@ -7,12 +7,14 @@ import pytest
 import torch
 from conftest import noise, stripes
 
+from torchtex import metrics
 from torchtex.bands import BandField, band_field, block_pixels
 from torchtex.features import Wavelets
 from torchtex.inputs import usable_exemplars
 from torchtex.labels import load_field
-from torchtex.recipes import skeleton as module
+from torchtex.recipes.block_seams import block_seams
 from torchtex.recipes.skeleton import refine, skeleton
+from torchtex.recipes.skeleton_blocks import BlockShape
 from torchtex.schedule import Level
 from torchtex.sources import SourceField
 from torchtex.wavelets import blocks_at, decompose, every_shift, reach, reconstruct
@@ -60,9 +62,8 @@ def test_blocks_of_one_piece_give_its_pixels_back(wavelet: str, levels: int) -> 
 @pytest.mark.parametrize("levels", [1, 2])
 def test_haar_copies_pixels(levels: int, boundary: str) -> None:
     z = stripes(40, 36)
-    made = skeleton(
-        z, (48, 40), levels=levels, boundary="free" if boundary == "free" else "periodic", seed=3
-    )
+    edge = "free" if boundary == "free" else "periodic"
+    made = skeleton(z, (48, 40), levels=levels, mend=False, boundary=edge, seed=3)
     assert torch.equal(made.apply(z), made.texture)
     assert made.patches.shape == made.texture.shape[1:]
     assert made.report()["settings"]["made"] == [48, 40]
@@ -101,11 +102,11 @@ def test_a_map_far_from_seams_is_copied_by_a_longer_wavelet_too() -> None:
 def test_a_free_border_does_not_meet_the_far_side(wavelet: str, levels: int) -> None:
     z = torch.linspace(0, 1, 64, dtype=torch.float64).expand(1, 64, 64).contiguous()
     made = skeleton(z, (24, 48), wavelet=wavelet, levels=levels, cut="none", schedule=QUICK)
-    shape = module._Shape((24, 48), levels, wavelet, 1, "free")
+    shape = BlockShape((24, 48), levels, wavelet, 1, "free")
     places = torch.zeros(*shape.blocks, 3, dtype=torch.long)
     places[..., 2] = 2**levels * torch.arange(shape.blocks[1]).clamp(max=(64 >> levels) - 1)
-    field = shape.field(places, [z])
     m = shape.margin * 2**levels
+    field = shape.field(places, [z], m)
     count = min(48, 64 - m - 2 * max(reach(wavelet, levels)))
     assert torch.allclose(field.apply(z)[0, :, :count], z[0, :24, m : m + count], atol=1e-9)
     assert made.texture.shape == (1, 24, 48)
@@ -113,9 +114,9 @@ def test_a_free_border_does_not_meet_the_far_side(wavelet: str, levels: int) -> 
 
 def test_the_cut_lowers_the_cost_of_seams() -> None:
     z = noise(3, 48, 48)
-    shape = module._Shape((64, 64), 1, "haar", 1, "free")
+    shape = BlockShape((64, 64), 1, "haar", 1, "free")
     space = shape.places([z], [None])
-    seams = module._seams([z], space, shape)
+    seams = block_seams([z], space, shape.side, False)
     pick = torch.randint(len(space), (8, 8), generator=torch.Generator().manual_seed(0))
     blocks = space.positions[pick].repeat_interleave(4, 0).repeat_interleave(4, 1)
     blocks[..., 1:] = blocks[..., 1:].clamp(max=40)
@@ -130,9 +131,9 @@ def test_the_cut_lowers_the_cost_of_seams() -> None:
 
 def test_the_cost_of_seams_is_that_of_the_pixels() -> None:
     z = noise(2, 12, 12)
-    shape = module._Shape((8, 8), 1, "haar", 1, "free")
+    shape = BlockShape((8, 8), 1, "haar", 1, "free")
     space = shape.places([z], [None])
-    seams = module._seams([z], space, shape)
+    seams = block_seams([z], space, shape.side, False)
     a, b = space.at(torch.tensor([[0, 3, 4]])), space.at(torch.tensor([[0, 6, 5]]))
     wanted = (z[:, 3:5, 6:8] - z[:, 6:8, 5:7]).square().sum()
     wanted = wanted + (z[:, 6:8, 3:5] - z[:, 3:5, 4:6]).square().sum()
@@ -154,9 +155,41 @@ def test_odd_sizes_are_made_larger_and_cropped(levels: int) -> None:
 
 def test_phases_bring_blocks_at_other_pixels() -> None:
     z = noise(1, 40, 40)
-    one, more = (skeleton(z, (64, 64), phases=n, schedule=QUICK, seed=4) for n in (1, 2))
+    one, more = (
+        skeleton(z, (64, 64), phases=n, mend=False, schedule=QUICK, seed=4) for n in (1, 2)
+    )
     assert set((one.source_map[::2, ::2, 1:] % 2).flatten().tolist()) == {0}
     assert set((more.source_map[::2, ::2, 1:] % 2).flatten().tolist()) == {0, 1}
+
+
+@pytest.mark.parametrize("boundary", ["free", "periodic"])
+@pytest.mark.parametrize(("wavelet", "levels", "phases"), [("haar", 2, 1), ("haar", 3, 4),
+                                                          ("db2", 2, 2)])  # fmt: skip
+def test_every_level_is_mended(wavelet: str, levels: int, phases: int, boundary: str) -> None:
+    z, edge = stripes(64, 72), "free" if boundary == "free" else "periodic"
+    plain, made = (
+        skeleton(z, (64, 80), levels=levels, wavelet=wavelet, phases=phases, mend=mend,
+                 boundary=edge, seed=1)
+        for mend in (False, True)
+    )  # fmt: skip
+    assert made.settings["mend"]
+    assert torch.equal(made.apply(z).clamp(0, 1), made.texture)
+    assert not torch.equal(made.texture, plain.texture)
+    if wavelet == "haar":  # others blend the last seams themselves
+        assert metrics.tail(made.texture, z) < metrics.tail(plain.texture, z)
+
+
+def test_halves_of_blocks_are_found_again() -> None:
+    shape = BlockShape((32, 32), 2, "haar", 2, "free")
+    zs = [noise(1, 24, 26), noise(1, 20, 31)]
+    coarse, space = [shape.coarse(z) for z in zs], shape.places(zs, [None, None])
+    corners = shape.exemplars(coarse, space)[2]
+    places = torch.tensor([[[0, 4, 10], [1, 6, 8]]])
+    assert torch.equal(shape.origins(shape.sources(places, corners), corners), places)
+    assert shape.split(places)[:, :, 1:].tolist() == [
+        [[4, 10], [4, 12], [6, 8], [6, 10]],
+        [[6, 10], [6, 12], [8, 8], [8, 10]],
+    ]
 
 
 @pytest.mark.parametrize("wavelet", ["haar", "db2"])
@@ -276,9 +309,9 @@ def test_masks_without_room_for_a_block() -> None:
 
 def test_exemplars_of_the_seams_are_those_given() -> None:
     zs, keep = usable_exemplars([noise(1, 12, 14), noise(1, 16, 12)])
-    shape = module._Shape((8, 8), 2, "haar", 1, "free")
+    shape = BlockShape((8, 8), 2, "haar", 1, "free")
     space = shape.places(zs, keep)
-    seams = module._seams(zs, space, shape)
+    seams = block_seams(zs, space, shape.side, False)
     assert seams.looks.shape == (len(space), 4)
     last = space.at(torch.tensor([[1, 12, 8]]))
     block = zs[1][0, 12:16, 8:12]

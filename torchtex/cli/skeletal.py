@@ -65,8 +65,13 @@ def skeleton(
         str, typer.Option(help="mincut moves seams to where they show least; none leaves them.")
     ] = "mincut",
     solver: Solver = None,
+    mend: Annotated[
+        bool,
+        typer.Option(help="Match and average windows where pieces meet; all else is copied."),
+    ] = True,
     refine: Annotated[
-        int, typer.Option(help="Iterations of the optimisation at full size, after it.")
+        int,
+        typer.Option(help="Iterations of the optimisation at full size, after it; slower."),
     ] = 0,
     boundary: Boundary = "free",
     mask: Masks = None,
@@ -105,6 +110,7 @@ def skeleton(
             wavelet=wavelet,
             phases=phases,
             cut="none" if cut == "none" else "mincut",
+            mend=mend,
             solver=chosen,
             feature=feature_of(feature),
             boundary=edge,
