@@ -32,6 +32,7 @@ FLOORS = (
     (
         "extras",
         "image",
+        "label_spaces",
         "wavelets",
         "neighborhoods",
         "quadratic",
@@ -142,6 +143,7 @@ FLOORS = (
         "recipes.layer_pieces",
         "recipes.pieces",
         "recipes.planting",
+        "recipes.slice_votes",
         "recipes.solid_parts",
         "recipes.skeleton_blocks",
     ),
@@ -155,6 +157,7 @@ FLOORS = (
     ),
     (
         "synthesize",
+        "recipes.solid_plan",
         "recipes.solid_result",
         "recipes.quilting",
         "recipes.cms",
@@ -162,6 +165,7 @@ FLOORS = (
         "recipes.mending",
         "recipes.moving",
     ),
+    ("recipes.solid_run",),
     ("recipes",),
     ("recipes.design_parts", "recipes.skeletal_solid"),
     ("recipes.density", "recipes.design", "recipes.design_file"),

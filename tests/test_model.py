@@ -11,15 +11,9 @@ from torch import Tensor
 from torchtex import model as model_module
 from torchtex.controls import Guide, SoftConstraint
 from torchtex.features import Feature, Gradients, Pixels, Wavelets
+from torchtex.label_spaces import LabelSpace, label_space, strips
 from torchtex.matching import Chunked, Clustered, Exact
-from torchtex.model import (
-    Search,
-    exact_search,
-    fast_search,
-    label_space,
-    strips,
-    texture_model,
-)
+from torchtex.model import Search, exact_search, fast_search, texture_model
 from torchtex.neighborhoods import Grid, falloff
 
 SEARCHES = [
@@ -30,7 +24,7 @@ SEARCHES = [
 ]
 
 
-def identity(space: model_module.LabelSpace, sites: Tensor, which: int = 0) -> Tensor:
+def identity(space: LabelSpace, sites: Tensor, which: int = 0) -> Tensor:
     return space.at(torch.cat([torch.full((len(sites), 1), which), sites], 1))
 
 

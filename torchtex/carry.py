@@ -7,8 +7,9 @@ from jaxtyping import Int
 from torch import Tensor
 
 from torchtex.image import resize
+from torchtex.label_spaces import label_space
 from torchtex.labels import LabelField
-from torchtex.model import TextureModel, label_space
+from torchtex.model import TextureModel
 from torchtex.neighborhoods import Grid
 from torchtex.sources import copied
 

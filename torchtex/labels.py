@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torchtex.bands import BandField
 from torchtex.image import atomic_write
-from torchtex.model import LabelSpace, strips
+from torchtex.label_spaces import LabelSpace, strips
 from torchtex.neighborhoods import Grid, falloff
 from torchtex.sources import UNREADABLE, SourceField, check_maps, unreadable
 

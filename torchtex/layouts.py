@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchtex.model import LabelSpace, label_space
+from torchtex.label_spaces import LabelSpace, label_space
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchtex.label_spaces import label_space, strips
 from torchtex.labels import LabelField
-from torchtex.model import label_space, strips
 from torchtex.neighborhoods import Grid
 
 

@@ -30,7 +30,8 @@ from torchtex.estep import Auto
 from torchtex.features import Feature
 from torchtex.image import resize
 from torchtex.inputs import check_exemplars, check_not_negative, check_seed
-from torchtex.model import Search, label_space
+from torchtex.label_spaces import label_space
+from torchtex.model import Search
 from torchtex.recipes.completion import Order, complete
 from torchtex.recipes.hole_boxes import Box, around, boxes_of, shifted
 from torchtex.recipes.hole_cut import Hole

@@ -6,7 +6,7 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from torchtex.cuts.laplace import bounding_box
-from torchtex.model import label_space
+from torchtex.label_spaces import label_space
 
 Box = tuple[slice, slice]
 

@@ -21,8 +21,8 @@ from torchtex.inputs import (
     memory_of,
     usable_exemplars,
 )
+from torchtex.label_spaces import LabelSpace
 from torchtex.layouts import Layout, costs_of_places, layout_of, places_of
-from torchtex.model import LabelSpace
 from torchtex.patches import SsdSearch, pick, ssd_exhaustive, ssd_search
 from torchtex.qtp import Qtp, QtpIndex
 from torchtex.quadratic import threads

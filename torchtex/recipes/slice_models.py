@@ -15,8 +15,8 @@ from jaxtyping import Float, Int
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchtex.label_spaces import label_space, strips
 from torchtex.matching import Exact, principal_axes
-from torchtex.model import label_space, strips
 from torchtex.neighborhoods import falloff
 from torchtex.quadratic import rowwise_sum
 from torchtex.volumes.histograms import excess
