@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torchtex.cuts.expansion import expand
 from torchtex.cuts.mincut import MinCut
-from torchtex.model import LabelSpace
+from torchtex.label_spaces import LabelSpace
 
 STEPS = ((0, 1), (1, 0), (0, -1), (-1, 0), (0, 2), (2, 0), (0, -2), (-2, 0),
          (0, 4), (4, 0), (0, -4), (-4, 0))  # fmt: skip
@@ -128,7 +128,7 @@ def block_seams(
         space: every place of a block of `side` pixels.
 
     Example:
-        >>> from torchtex.model import label_space
+        >>> from torchtex.label_spaces import label_space
         >>> seams = block_seams([torch.rand(3, 8, 8)], label_space([(8, 8)], 2), 2, False)
         >>> seams.looks.shape
         torch.Size([49, 12])

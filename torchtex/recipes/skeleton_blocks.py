@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchtex.bands import band_field, block_pixels
 from torchtex.inputs import check_size, memory_of
-from torchtex.model import LabelSpace, label_space
+from torchtex.label_spaces import LabelSpace, label_space
 from torchtex.sources import SourceField, copied, pixel_places
 from torchtex.wavelets import every_shift, reach
 
