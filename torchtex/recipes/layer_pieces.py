@@ -2,16 +2,17 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from torchtex.layers.deform import Deformation, warped
+from torchtex.layers.deform import Deformation, Deformed, warped
 from torchtex.layers.plans import Operation
 from torchtex.layers.segment import Segmentation
 from torchtex.layers.stitch import Part
 from torchtex.recipes.strokes import distance
+from torchtex.sources import SourceField
 
 GROUND = 1 / 6  # of the exemplar: larger pieces are ground
 _OUTLINE = 3  # pixels around a thing that are shown with it
@@ -147,17 +148,29 @@ def part_of(
     matrix[1, 2] -= low[1]
     size = (high[0] - low[0], high[1] - low[1])
     at = (low[0] + piece.shift[0], low[1] + piece.shift[1])
-    if collar == 0:
-        return Part(warped(z, matrix, size, piece.mask), at, piece.exemplar)
-    own = piece.mask
-    if piece.area < GROUND * own.numel():  # a thing keeps its outline, ground takes none along
-        own = distance(own, _OUTLINE) <= _OUTLINE
-    marks = torch.stack([own, own if piece.still else _framed(own, 2 * collar)])
-    made = warped(torch.cat([z, marks.to(z)]), matrix, size, distance(piece.mask, collar) <= collar)
+    near = _around(piece.box, collar + 1)
+    start = (near[0].start, near[1].start)
+    offset = torch.eye(3, dtype=torch.float64)
+    offset[:2, 2] = torch.tensor(start, dtype=torch.float64)
+    image, mask = z[:, near[0], near[1]], piece.mask[near]
+    own = mask
+    if collar and piece.area < GROUND * piece.mask.numel():  # a thing keeps its outline
+        own = distance(mask, _OUTLINE) <= _OUTLINE
+    band = 0 if piece.still else 2 * collar
+    marks = torch.stack([own, own & _framed(piece.mask, band)[near]]).to(z)
+    wide = distance(mask, collar) <= collar if collar else mask
+    made = warped(torch.cat([image, marks]), matrix @ offset, size, wide)
+    positions = made.field.positions + made.field.positions.new_tensor([0, *start])
+    field = SourceField(positions, made.field.weights, ((z.shape[1], z.shape[2]),))
     core, firm = made.mask & (made.texture[len(z) :] > 1 - 1e-4)
-    return Part(
-        replace(made, texture=made.texture[: len(z)]), at, piece.exemplar, core=core, firm=firm
-    )
+    done = Deformed(made.texture[: len(z)], made.mask, field)
+    return Part(done, at, piece.exemplar, core=core, firm=firm)
+
+
+def _around(box: tuple[slice, slice], room: int) -> tuple[slice, slice]:
+    """A box with some room around it, within the picture."""
+    rows, cols = (slice(max(side.start - room, 0), side.stop + room) for side in box)
+    return rows, cols
 
 
 def _window(

@@ -137,6 +137,8 @@ def layered(
             on_step(Stage(0.5, "layers", made.texture.clone()))
         done = _completed(zs, made.texture, made.holes, made.positions, filling, poisson, solver,
                           seed, on_step)  # fmt: skip
+        # pieces were read from parts of the exemplars, which rounds otherwise
+        texture = done.texture if poisson else done.apply(zs)
     settings = {
         "recipe": "layered", "size": list(size), "layers": [s.count for s in segmentations],
         "children": children, "band": band, "collar": collar, "filling": filling.plain(),
@@ -148,7 +150,7 @@ def layered(
     owner = torch.tensor([-1, *order], device=made.owner.device)[made.owner + 1]
     patches = torch.where(done.patches > 0, done.patches + len(pieces) - 1, owner)
     seconds = time.perf_counter() - began
-    return Montage(done.texture, done.field, patches, seconds, seed, settings)
+    return Montage(texture, done.field, patches, seconds, seed, settings)
 
 
 def _stitched(
