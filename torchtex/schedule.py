@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from torchtex.image import resize
-from torchtex.model import label_space
+from torchtex.label_spaces import label_space
 from torchtex.neighborhoods import Grid
 
 COMPLETE_SCALE = 0.5

@@ -16,8 +16,8 @@ from torch import Tensor
 
 from torchtex.energy import embed
 from torchtex.features import Pixels
+from torchtex.label_spaces import LabelSpace, Strips, label_space, strips
 from torchtex.matching import Exact, Index
-from torchtex.model import LabelSpace, Strips, label_space, strips
 from torchtex.neighborhoods import Grid, falloff
 from torchtex.sources import SourceField
 
