@@ -29,16 +29,8 @@ MODULES = sorted(
 
 # a module may import only those of rows above its own; "cli" stands for all modules of the package
 FLOORS = (
-    (
-        "extras",
-        "image",
-        "label_spaces",
-        "wavelets",
-        "neighborhoods",
-        "quadratic",
-        "volumes.formats",
-        "meshes.mesh",
-    ),
+    ("codecs", "extras", "label_spaces", "volumes.formats", "meshes.mesh"),
+    ("image", "wavelets", "neighborhoods", "quadratic"),
     (
         "data",
         "features",

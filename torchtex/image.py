@@ -7,27 +7,21 @@ The numbers are the file's own, normally sRGB; colour profiles are ignored.
 import json
 import math
 import os
-import struct
-import sys
 import uuid
-import warnings
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float
-from numpy.typing import NDArray
 from torch import Tensor
 
+from torchtex.codecs import decode, decoding, jpeg, opened, png, reason, tiff
+
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")  # what `save` writes
-_READABLE = ("PNG", "JPEG", "WEBP", "TIFF", "GIF", "BMP")
 
 
 @dataclass(frozen=True)
@@ -67,7 +61,7 @@ def load(path: str | os.PathLike[str], *, alpha: bool = True, name: str = "path"
         torch.Size([3, 128, 128])
     """
     where = _where(name, path)
-    values, opaque = _decode(read_bytes(path, name=name), where)
+    values, opaque = decode(read_bytes(path, name=name), where)
     if not np.isfinite(values).all():
         count = int((~np.isfinite(values)).any(-1).sum())
         raise ValueError(f"{where} holds NaN or infinity at {count} pixels; replace them")
@@ -160,7 +154,7 @@ def save(
         raise ValueError("metadata is too long for a JPEG (64 KB); save as .png")
     levels = image.detach().cpu().double().clamp(0, 1) * (2**bits - 1)
     pixels = levels.round().permute(1, 2, 0).numpy().astype(np.uint8 if bits == 8 else np.uint16)
-    encode = {"PNG": _png, "JPEG": _jpeg, "TIFF": _tiff}[kind]
+    encode = {"PNG": png, "JPEG": jpeg, "TIFF": tiff}[kind]
     with atomic_write(path, name=name) as partial:
         partial.write_bytes(encode(pixels, text))
 
@@ -180,8 +174,8 @@ def read_metadata(path: str | os.PathLike[str], *, name: str = "path") -> dict[s
     """
     where = _where(name, path)
     data = read_bytes(path, name=name)
-    with _decoding(where):
-        image = _open(data)
+    with decoding(where):
+        image = opened(data)
         if image.format == "PNG":
             return {str(key): str(value) for key, value in image.text.items()}
         text = image.info.get("comment") if image.format != "TIFF" else image.tag_v2.get(270)
@@ -211,7 +205,7 @@ def read_bytes(path: str | os.PathLike[str], *, name: str = "path") -> bytes:
     except FileNotFoundError:
         raise ValueError(f"{where}: there is no such file; check the name") from None
     except OSError as error:
-        raise ValueError(f"{where} cannot be read: {_reason(error)}") from error
+        raise ValueError(f"{where} cannot be read: {reason(error)}") from error
 
 
 @contextmanager
@@ -239,7 +233,7 @@ def atomic_write(path: str | os.PathLike[str], *, name: str = "path") -> Iterato
         yield partial
         os.replace(partial, target)
     except OSError as error:
-        raise ValueError(f"{_where(name, path)} was not written: {_reason(error)}") from error
+        raise ValueError(f"{_where(name, path)} was not written: {reason(error)}") from error
     finally:
         partial.unlink(missing_ok=True)
 
@@ -374,163 +368,3 @@ def pyramid(image: Float[Tensor, "c h w"], scales: Sequence[float]) -> list[Tens
 
 def _where(name: str, path: str | os.PathLike[str]) -> str:
     return f"{name}={os.fspath(path)!r}"
-
-
-def _reason(error: BaseException) -> str:
-    return getattr(error, "strerror", None) or str(error) or type(error).__name__
-
-
-@contextmanager
-def _decoding(where: str) -> Iterator[None]:
-    """Turn whatever Pillow raises for a bad file into one sentence."""
-    from PIL import Image, UnidentifiedImageError
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        warnings.simplefilter("error", Image.DecompressionBombWarning)
-        try:
-            yield
-        except UnidentifiedImageError:
-            raise ValueError(
-                f"{where} is none of the pictures that can be read ({', '.join(_READABLE)}; "
-                "no float colours); export it as PNG"
-            ) from None
-        except (Image.DecompressionBombError, Image.DecompressionBombWarning):
-            raise ValueError(f"{where} has too many pixels; make it smaller first") from None
-        except Exception as error:  # the decoders raise many types for damaged files
-            raise ValueError(
-                f"{where} is damaged or cut short ({_reason(error)}); export it again"
-            ) from error
-
-
-def _open(data: bytes) -> Any:
-    from PIL import Image
-
-    return Image.open(BytesIO(data), formats=_READABLE)
-
-
-def _decode(data: bytes, where: str) -> tuple[NDArray[Any], NDArray[Any] | None]:
-    """Colours (h, w, c), scaled float32, and whether each pixel is opaque (h, w) or None."""
-    with _decoding(where):
-        image = _open(data)
-        frames = getattr(image, "n_frames", 1)
-        tags = image.tag_v2 if image.format == "TIFF" else {}
-        depth = max(tags.get(258, (16,)))
-    if frames > 1 and image.format != "MPO":  # MPO: a JPEG with its preview or depth
-        raise ValueError(f"{where} holds {frames} frames; save one of them as a still picture")
-    raw = _raw_mode(image)
-    misread = depth > 8 and (tags.get(284) == 2 or (tags.get(262) == 0 and image.mode != "F"))
-    if misread or (image.mode == "I" and image.format != "PNG"):  # planes, white as 0, 32 bits
-        raise ValueError(f"{where} has a pixel format that is not supported; export it as PNG")
-    key = image.info.get("transparency")
-    with _decoding(where):
-        mode, top = image.mode, 2.0**depth - 1
-        if mode == "F":
-            top = 1.0
-            levels = _turned(image)
-        elif mode.startswith("I"):
-            levels = _turned(image)
-        elif raw.startswith(("RGB;16", "RGBA;16", "LA;16")):
-            levels = _sixteen_bits(image, data, raw)
-        else:
-            mode, top, key = _plain_mode(image), 255.0, None
-            levels = _turned(image.convert(mode) if mode != image.mode else image)
-    levels = levels.reshape(*levels.shape[:2], -1)
-    opaque = None if key is None else (levels != np.array(key)).any(-1)
-    if levels.shape[2] in (2, 4):
-        levels, opaque = levels[..., :-1], levels[..., -1] > top / 2
-    return levels.astype(np.float32) / np.float32(top), opaque
-
-
-def _turned(image: Any) -> NDArray[Any]:
-    from PIL import ImageOps
-
-    return np.array(ImageOps.exif_transpose(image))
-
-
-def _raw_mode(image: Any) -> str:
-    """How the file lays out a pixel, in Pillow's words, such as "RGB;16B"."""
-    args = image.tile[0][3] if image.tile else ""
-    return str(args if isinstance(args, str) or not args else args[0])
-
-
-def _plain_mode(image: Any) -> str:
-    if image.mode in ("1", "L", "LA", "La"):
-        return "LA" if image.has_transparency_data else "L"
-    return "RGBA" if image.has_transparency_data else "RGB"
-
-
-def _sixteen_bits(image: Any, data: bytes, raw: str) -> NDArray[Any]:
-    """Levels of 16-bit colours. Pillow keeps the high byte of each, so decode twice.
-
-    Read with the other byte order, the byte that it takes for the high one is the low one. Grey
-    with alpha has pixels of four bytes, which one reading as RGBA gives.
-    """
-    swapped = {"B": "L", "L": "B", "N": "B" if sys.byteorder == "little" else "L"}[raw[-1]]
-    layout = "RGBA" if raw.startswith("LA") else raw[:-1] + swapped
-    again = _open(data)
-    again.tile = [
-        getattr(type(tile), "_make", tuple)(
-            (*tile[:3], layout if isinstance(tile[3], str) else (layout, *tile[3][1:]))
-        )
-        for tile in image.tile
-    ]
-    low = _turned(again).astype(np.int32)
-    if raw.startswith("LA"):
-        return low[..., 0::2] * 256 + low[..., 1::2]
-    return _turned(image).astype(np.int32) * 256 + low
-
-
-def _png(pixels: NDArray[Any], text: dict[str, str]) -> bytes:
-    from PIL import Image
-    from PIL.PngImagePlugin import PngInfo
-
-    if pixels.dtype == np.uint16:
-        return _png16(pixels, text)
-    info = PngInfo()
-    for key, value in text.items():
-        info.add_itxt(key, value)
-    return _encoded(Image.fromarray(_squeezed(pixels)), "PNG", pnginfo=info)
-
-
-def _png16(pixels: NDArray[Any], text: dict[str, str]) -> bytes:
-    """PNG of 16 bits per channel, which Pillow writes for grey only."""
-    h, w, c = pixels.shape
-    rows = np.frombuffer(pixels.astype(">u2").tobytes(), np.uint8).reshape(h, w * c * 2)
-    difference = rows.copy()
-    difference[:, c * 2 :] -= rows[:, : -c * 2]  # filter 1: each byte less that of the pixel before
-    lines = np.concatenate([np.ones((h, 1), np.uint8), difference], axis=1)
-    colour_type = {1: 0, 2: 4, 3: 2, 4: 6}[c]
-    chunks = [(b"IHDR", struct.pack(">IIBBBBB", w, h, 16, colour_type, 0, 0, 0))]
-    for key, value in text.items():
-        chunks.append((b"iTXt", key.encode("ascii") + b"\0\0\0\0\0" + value.encode("utf-8")))
-    chunks += [(b"IDAT", zlib.compress(lines.tobytes())), (b"IEND", b"")]
-    return b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-        for kind, data in chunks
-    )
-
-
-def _jpeg(pixels: NDArray[Any], text: dict[str, str]) -> bytes:
-    from PIL import Image
-
-    comment = json.dumps(text).encode() if text else b""
-    image = Image.fromarray(_squeezed(pixels))
-    return _encoded(image, "JPEG", quality=95, subsampling=0, comment=comment)
-
-
-def _tiff(pixels: NDArray[Any], text: dict[str, str]) -> bytes:
-    from PIL import Image
-
-    options = {"description": json.dumps(text)} if text else {}
-    return _encoded(Image.fromarray(_squeezed(pixels)), "TIFF", **options)
-
-
-def _squeezed(pixels: NDArray[Any]) -> NDArray[Any]:
-    return pixels[..., 0] if pixels.shape[2] == 1 else np.ascontiguousarray(pixels)
-
-
-def _encoded(image: Any, kind: str, **options: Any) -> bytes:
-    buffer = BytesIO()
-    image.save(buffer, format=kind, **options)
-    return buffer.getvalue()

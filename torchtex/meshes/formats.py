@@ -6,7 +6,6 @@ vertices linear, and so they are converted; viewers would show them pale otherwi
 
 import json
 from collections.abc import Sequence
-from io import BytesIO
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchtex import codecs
 from torchtex.meshes.mesh import Mesh
 
 _FLOAT, _INDEX = 5126, 5125  # what glTF calls the types of numbers
@@ -185,12 +185,8 @@ def png(texture: Float[Tensor, "c h w"]) -> bytes:
         >>> png(torch.rand(3, 4, 4))[1:4]
         b'PNG'
     """
-    from PIL import Image
-
-    buffer = BytesIO()
     pixels = _bytes(_rgb(texture.flatten(1).T)).reshape(*texture.shape[1:], 3)
-    Image.fromarray(pixels).save(buffer, "PNG")
-    return buffer.getvalue()
+    return codecs.png(pixels, {})
 
 
 def to_linear(colors: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
