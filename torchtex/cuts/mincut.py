@@ -13,9 +13,8 @@ Apache-2.0: which one to install is your choice.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -23,6 +22,7 @@ from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchtex.cuts.problems import Problem, check_grid, feasible, grid_problem, listed_problem
 from torchtex.extras import needed
 from torchtex.quadratic import rowwise_sum
 
@@ -80,7 +80,7 @@ class PyMaxflow:
         edges: Int[Tensor, "e 2"],
         capacity: Float[Tensor, "e 2"],
     ) -> Bool[Tensor, "n"]:
-        return self._solve(_problem(unary, edges, capacity)).to(unary.device)
+        return self._solve(listed_problem(unary, edges, capacity)).to(unary.device)
 
     def grid(
         self,
@@ -88,10 +88,10 @@ class PyMaxflow:
         right: Float[Tensor, "h w_ 2"],
         down: Float[Tensor, "h_ w 2"],
     ) -> Bool[Tensor, "h w"]:
-        labels = self._solve(_grid_problem(unary, right, down))
+        labels = self._solve(grid_problem(unary, right, down))
         return labels.view(unary.shape[:2]).to(unary.device)
 
-    def _solve(self, problem: "_Problem") -> Tensor:
+    def _solve(self, problem: "Problem") -> Tensor:
         # an infinite cost becomes one that no saving can pay for
         gain, groups, limit = problem.gain, problem.groups, 2 * problem.total + 1
         if not gain.size:
@@ -107,7 +107,7 @@ class PyMaxflow:
         for tail, head, both in groups:
             graph.add_edges(tail, head, both[:, 0], both[:, 1])
         graph.maxflow()
-        return _feasible(problem, graph.get_grid_segments(nodes))
+        return feasible(problem, graph.get_grid_segments(nodes))
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ class OrTools:
         edges: Int[Tensor, "e 2"],
         capacity: Float[Tensor, "e 2"],
     ) -> Bool[Tensor, "n"]:
-        problem = _problem(unary, edges, capacity)
+        problem = listed_problem(unary, edges, capacity)
         (tail, head, both) = problem.groups[0]
         # node 0 is the source and 1 the sink; a node that may have one label only joins it
         ids = np.arange(2, len(problem.gain) + 2)
@@ -158,7 +158,7 @@ class OrTools:
         assert status == flow.OPTIMAL, status
         side = np.zeros(len(ids) + 2, dtype=bool)
         side[flow.get_sink_side_min_cut()] = True
-        return _feasible(problem, side[ids]).to(unary.device)
+        return feasible(problem, side[ids]).to(unary.device)
 
 
 def cut_grid(
@@ -186,7 +186,7 @@ def cut_grid(
     solver = default_solver() if solver is None else solver
     if isinstance(solver, GridMinCut):
         return solver.grid(unary, right, down)
-    _check_grid(unary, right, down)
+    check_grid(unary, right, down)
     edges = grid_edges(unary.shape[0], unary.shape[1], right.shape[1], down.shape[0])
     capacity = torch.cat([right.flatten(0, 1), down.flatten(0, 1)])
     labels = solver(unary.flatten(0, 1), edges.to(unary.device), capacity)
@@ -257,128 +257,6 @@ def default_solver() -> MinCut:
         "no min-cut back end is installed; pip install 'torchtex[graphcut]' brings two, or choose "
         "by licence: PyMaxflow is GPL, ortools is Apache-2.0"
     )
-
-
-class _Problem(NamedTuple):
-    """Costs as arrays: gain is cost 1 minus cost 0; groups of tail, head and both capacities."""
-
-    gain: NDArray[Any]
-    groups: list[tuple[NDArray[Any], NDArray[Any], NDArray[Any]]]
-    total: float
-    infinite: bool
-
-
-def _problem(unary: Tensor, edges: Tensor, capacity: Tensor) -> _Problem:
-    for name, value, rule in (
-        ("unary", unary, "n x 2"),
-        ("edges", edges, "e x 2"),
-        ("capacity", capacity, "e x 2"),
-    ):
-        if value.ndim != 2 or value.shape[1] != 2:
-            raise ValueError(f"{name} has shape {tuple(value.shape)}; it must be {rule}")
-    if len(edges) != len(capacity):
-        raise ValueError(f"edges: {len(edges)} given with {len(capacity)} capacities; give as many")
-    pairs = edges.detach().cpu().numpy().astype(np.int64, copy=False)
-    if pairs.size and not 0 <= pairs.min() <= pairs.max() < len(unary):
-        raise ValueError(
-            f"edges name the nodes {pairs.min()}..{pairs.max()}; they must lie in "
-            f"0..{len(unary) - 1}"
-        )
-    both = _capacities(capacity, "capacity")
-    other = pairs[:, 0] != pairs[:, 1]
-    if not other.all():  # an edge from a node to itself is never cut
-        pairs, both = pairs[other], both[other]
-    return _summed(_gain(unary), [(pairs[:, 0], pairs[:, 1], both)])
-
-
-def _grid_problem(unary: Tensor, right: Tensor, down: Tensor) -> _Problem:
-    _check_grid(unary, right, down)
-    h, w = unary.shape[:2]
-    groups = []
-    for axis, name, costs in ((1, "right", right), (0, "down", down)):
-        both = _capacities(costs, name)
-        if unary.shape[axis] > 1:  # else an edge from a pixel to itself, which is never cut
-            groups.append((*_neighbours(h, w, axis, costs.shape[axis]), both))
-    return _summed(_gain(unary), groups)
-
-
-@lru_cache(maxsize=8)
-def _neighbours(h: int, w: int, axis: int, count: int) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Nodes of the pairs along an axis; kept, since a recipe cuts many grids of one size."""
-    node = np.arange(h * w).reshape(h, w)
-    both = node, np.roll(node, -1, axis)
-    tail, head = (x[:, :count].ravel() if axis else x[:count].ravel() for x in both)
-    tail.flags.writeable = head.flags.writeable = False
-    return tail, head
-
-
-def _check_grid(unary: Tensor, right: Tensor, down: Tensor) -> None:
-    """Refuses shapes that are no grid."""
-    for name, value in (("unary", unary), ("right", right), ("down", down)):
-        if value.ndim != 3 or value.shape[2] != 2:
-            raise ValueError(f"{name} has shape {tuple(value.shape)}; it must be h x w x 2")
-    h, w = unary.shape[:2]
-    for name, value, shapes in (
-        ("right", right, ((h, max(w - 1, 0)), (h, w))),
-        ("down", down, ((max(h - 1, 0), w), (h, w))),
-    ):
-        if tuple(value.shape[:2]) not in shapes:
-            raise ValueError(
-                f"{name} has shape {tuple(value.shape)}; for an image of {h}x{w} pixels it must "
-                f"be {shapes[0][0]}x{shapes[0][1]}x2, or {h}x{w}x2 to join its ends"
-            )
-
-
-def _array(value: Tensor) -> NDArray[np.float64]:
-    return value.detach().to("cpu", torch.float64).contiguous().numpy().reshape(-1, 2)
-
-
-def _gain(unary: Tensor) -> NDArray[np.float64]:
-    costs = _array(unary)
-    # NaN and -inf come through a minimum, and +inf if both labels are forbidden
-    low = np.minimum(costs[:, 0], costs[:, 1])
-    if not np.isfinite(low).all():
-        node = int(np.flatnonzero(~np.isfinite(low))[0])
-        raise ValueError(
-            f"unary is {costs[node].tolist()} at node {node}; a cost must be a number or +inf, "
-            "and one label must be allowed"
-        )
-    return costs[:, 1] - costs[:, 0]
-
-
-def _capacities(capacity: Tensor, name: str) -> NDArray[np.float64]:
-    both = _array(capacity)
-    least = both.min(initial=0)  # NaN if there is one
-    if not least >= 0:
-        raise ValueError(f"{name} has the value {least}; capacities must be at least 0")
-    return both
-
-
-def _summed(gain: NDArray[Any], groups: list[Any]) -> _Problem:
-    """Adds the sum of all finite costs."""
-    costs = [np.abs(gain), *(both for _, _, both in groups)]
-    total = float(sum(c.sum() for c in costs))
-    infinite = not np.isfinite(total)
-    if infinite:
-        total = float(sum(c.sum(where=np.isfinite(c)) for c in costs))
-    if not total < 1e300:
-        raise ValueError(f"the costs add up to {total}; divide unary and capacity by a number")
-    return _Problem(gain, groups, total, infinite)
-
-
-def _feasible(problem: _Problem, labels: NDArray[np.bool_]) -> Tensor:
-    """The labels as a tensor, after a look at whether they pay an infinite cost."""
-    if problem.infinite:
-        broken = bool((np.where(labels, problem.gain, -problem.gain) == np.inf).any())
-        for tail, head, both in problem.groups:
-            cut = np.where(labels[tail], both[:, 1], both[:, 0])[labels[tail] != labels[head]]
-            broken = broken or bool((cut == np.inf).any())
-        if broken:
-            raise ValueError(
-                "unary and capacity are infinite such that every labeling costs inf; "
-                "lift one of the constraints"
-            )
-    return torch.from_numpy(labels)
 
 
 def _integers(costs: NDArray[np.float64], total: float) -> NDArray[np.int64]:
