@@ -132,10 +132,28 @@ def check_size(size: tuple[int, int], need: int = 0) -> None:
     height, width = size
     if height < 1 or width < 1:
         raise ValueError(f"size={height}x{width} must be at least 1x1; give height x width")
+    check_memory(f"{height}x{width}", need)
+
+
+def check_memory(size: str, need: int) -> None:
+    """Refuses a size that memory cannot hold, before any work.
+
+    Args:
+        size: as an error shows it.
+        need: bytes that making it would take, about.
+
+    Raises:
+        ValueError: the memory of this machine is less.
+
+    Example:
+        >>> check_memory("9x9x9", 2**70)
+        Traceback (most recent call last):
+        ValueError: size=9x9x9 would need about 1099511627776.0 GiB of memory and ...
+    """
     have = _memory()
     if have is not None and need > have:
         raise ValueError(
-            f"size={height}x{width} would need about {need / 2**30:.1f} GiB of memory and "
+            f"size={size} would need about {need / 2**30:.1f} GiB of memory and "
             f"{have / 2**30:.1f} GiB are there; choose a smaller size"
         )
 

@@ -10,7 +10,7 @@ import torch
 from conftest import Run, refused, stripes
 
 from torchtex import image as images
-from torchtex.recipes import solid as recipe
+from torchtex.recipes import solid_run as recipe
 from torchtex.recipes.solid_result import SolidStep
 from torchtex.volumes.files import load_volume
 
@@ -23,7 +23,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     images.save("z.png", stripes(32, 32).float())
     images.save("grey.png", stripes(32, 32, 1).float())
-    images.save("small.png", torch.ones(3, 12, 12))
+    images.save("small.png", torch.ones(3, 11, 11))
     images.save("map.png", stripes(32, 32, 1, seed=3).float())
     images.save("glass.png", torch.cat([stripes(32, 32), torch.zeros(1, 32, 32)]).float())
     return tmp_path
@@ -67,6 +67,28 @@ def test_skeletal_axes_and_maps(run: Run, here: Path) -> None:
     assert not torch.equal(load_volume("m.npy"), load_volume("plain.npy"))
 
 
+def test_masks_features_and_tiles(run: Run, here: Path) -> None:
+    alpha = torch.ones(1, 32, 32)
+    alpha[:, 20:] = 0
+    images.save("part.png", torch.cat([stripes(32, 32).float(), alpha]))
+    images.save("white.png", alpha)
+    assert run(*LINE[:1], "part.png", *LINE[2:], "-o", "a.npy").code == 0
+    assert run(*LINE, "--mask", "white.png", "-o", "b.npy").code == 0
+    assert torch.equal(load_volume("a.npy"), load_volume("b.npy"))
+    assert run(*LINE, "--feature", "haar", "--tiled", "20x34x18", "-o", "t.npy").code == 0
+    tiles = load_volume("t.npy")
+    assert tiles.shape == (3, 20, 34, 18)
+    assert torch.equal(tiles[:, 16:, 17:], tiles[:, :4, :17])
+
+
+def test_what_is_left_out_is_told(run: Run, here: Path) -> None:
+    images.save("odd.png", stripes(33, 34).float())
+    line = ("solid", "odd.png", "--size", "16x16x16", "--method", "skeletal", "-o", "v.npy")
+    done = run(*line)
+    assert done.code == 0
+    assert "odd.png': the last 1 rows and 0 columns fill no coarse pixel" in done.err
+
+
 def test_an_interrupted_run_keeps_what_it_has_and_goes_on(
     run: Run, here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -108,6 +130,10 @@ def test_an_interrupted_run_keeps_what_it_has_and_goes_on(
         ("size of the", ("z.png", "--size", "16x16x16", "-o", "v.npy", "--map", "small.png")),
         ("steps=2", ("z.png", "--size=16x16x16", "-o=v.npy", "--method=skeletal", "--steps=2")),
         ("octaves=5", ("z.png", "--size=16x16x16", "-o=v.npy", "--method=skeletal", "--octaves=5")),
+        ("feature='sift'", ("z.png", "--size=16x16x16", "-o=v.npy", "--feature=sift")),
+        ("tiled='9'", ("z.png", "--size=16x16x16", "-o=v.npy", "--tiled=9")),
+        ("GiB", ("z.png", "--size=16x16x16", "-o=v.npy", "--tiled=9999x9999x9999")),
+        ("mask: 2 given", ("z.png", "--size=16x16x16", "-o=v.npy", *["--mask=map.png"] * 2)),
         ("r=3", ("z.png", "--size", "16x16x16", "-o", "v.npy", "--r", "3")),
         ("seed=-1", ("z.png", "--size", "16x16x16", "-o", "v.npy", "--seed", "-1")),
         ("overwrite", ("z.png", "--size", "16x16x16", "-o", "v.npy", "--slices", "z.png")),

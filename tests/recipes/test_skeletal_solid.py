@@ -6,11 +6,13 @@ import pytest
 import torch
 from conftest import noise, stripes
 
+from torchtex.features import Wavelets
 from torchtex.recipes.skeletal_solid import _band, _mixed, _trimmed, skeletal_solid
-from torchtex.recipes.solid import Run, Solving
 from torchtex.recipes.solid_parts import sides_of
 from torchtex.recipes.solid_places import table_of
+from torchtex.recipes.solid_plan import Solving
 from torchtex.recipes.solid_result import SolidCheckpoint, SolidStep
+from torchtex.recipes.solid_run import Run
 from torchtex.schedule import Level
 
 
@@ -20,6 +22,7 @@ def test_refined_voxels_are_exemplar_pixels() -> None:
     assert made.volume.shape == (3, 17, 16, 18)
     assert torch.equal(made.apply(exemplar), made.volume)
     assert made.settings["method"] == "skeletal"
+    assert made.settings["unused"] == [[1, 1]]
     again = skeletal_solid(exemplar, (17, 16, 18))
     assert torch.equal(again.volume, made.volume)
 
@@ -43,13 +46,24 @@ def test_a_coarse_copy_of_the_exemplar_grows_into_its_copy() -> None:
     # every slice across the depth is the coarse exemplar, moved so that no window of it wraps
     pixel = torch.arange(256).view(1, 16, 16).expand(16, 16, 16)
     state = SolidCheckpoint(0, settings, generator.get_state(), (), pixel, torch.zeros_like(pixel))
-    mixed, places, axis = _mixed(coarse, fine, state, generator)
+    mixed, fields = _mixed(coarse, fine, state, generator)
     inner = slice(14, 18)
     wanted = table_of([exemplar]).view(32, 32)
     gap = (mixed[..., 0] - wanted).abs()[:, inner, inner]
     assert float(gap.median()) < 1e-9
-    assert not bool(axis.any())
-    assert int(places.max()) < 1024
+    assert list(fields) == [0]
+    assert int(fields[0].max()) < 1024
+
+
+def test_masks_and_wavelets() -> None:
+    exemplar, mask = stripes(48, 48), torch.ones(48, 48, dtype=torch.bool)
+    mask[33:] = False
+    for refine in (0, 1):
+        made = skeletal_solid(
+            exemplar, (16, 16, 16), masks=mask, feature=Wavelets(levels=1), refine=refine
+        )
+        row, col = made.sources[..., 1].long(), made.sources[..., 2].long()
+        assert bool(mask[row, col].all())
 
 
 def test_coarse_band_is_the_mean_of_blocks() -> None:
@@ -69,7 +83,7 @@ def test_a_run_goes_on_with_the_same_bits_and_tells_how_far_it_is() -> None:
     assert done == sorted(done)
     assert done[-1] == pytest.approx(1)
     with pytest.raises(ValueError, match="refine"):
-        skeletal_solid(stripes(64, 64), (32, 32, 32), refine=2, resume=kept[0])
+        skeletal_solid(stripes(64, 64), (32, 32, 32), refine=1, resume=kept[0])
 
 
 @pytest.mark.parametrize(

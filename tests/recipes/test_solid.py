@@ -4,7 +4,9 @@ import pytest
 import torch
 from conftest import noise, spots, stripes
 
-from torchtex.recipes.slice_models import match, slice_model, snapped
+from torchtex.features import Pixels, Wavelets
+from torchtex.recipes.slice_models import slice_model
+from torchtex.recipes.slice_votes import match, prices_of, snapped
 from torchtex.recipes.solid import solid, solid_schedule
 from torchtex.recipes.solid_parts import check_solid, sides_of
 from torchtex.recipes.solid_places import finer_places, places_of, table_of
@@ -113,6 +115,57 @@ def test_a_run_goes_on_with_the_same_bits(tmp_path: object) -> None:
         SolidCheckpoint.load(path)
 
 
+def test_masked_pixels_are_never_used() -> None:
+    exemplar, mask = stripes(48, 48), torch.ones(48, 48, dtype=torch.bool)
+    mask[:, 30:] = False
+    mask[:6, :6] = False
+    exemplar[:, ~mask] = float("nan")
+    height = noise(1, 48, 48, seed=5)
+    for options in ({}, {"maps": height}):
+        made = solid(exemplar, (16, 16, 16), masks=mask, schedule=SHORT, **options)
+        row, col = made.sources[..., 1].long(), made.sources[..., 2].long()
+        assert bool(mask[row, col].all())
+        assert bool(made.volume.isfinite().all())
+    other = stripes(48, 48).flip(1)
+    both = solid([other, exemplar], (16, 16, 16), masks=[None, mask], schedule=SHORT)
+    which, row, col = both.sources.long().unbind(-1)
+    assert bool(mask[row[which == 1], col[which == 1]].all())
+    with pytest.raises(ValueError, match="mask: no window of 8"):
+        solid(other, (16, 16, 16), masks=torch.eye(48, dtype=torch.bool), schedule=SHORT)
+    with pytest.raises(ValueError, match="mask: give one for each"):
+        solid([other, None, other], (16, 16, 16), masks=[mask, mask, mask], schedule=SHORT)
+    with pytest.raises(ValueError, match="mask is 8x8"):
+        solid(other, (16, 16, 16), masks=mask[:8, 10:18], schedule=SHORT)
+
+
+def test_wavelets_are_compared_and_are_recorded() -> None:
+    made = small(feature=Wavelets("haar"))
+    assert not torch.equal(made.volume, small().volume)
+    assert torch.equal(made.apply(stripes(32, 32)), made.volume)
+    assert "haar" in made.settings["feature"]
+    with pytest.raises(ValueError, match="stationary"):
+        small(feature=Wavelets(mode="window"))
+
+
+def test_a_block_fills_a_larger_volume() -> None:
+    made = small()
+    large = made.tiled((32, 20, 5))
+    assert torch.equal(large[:, 16:, :17], made.volume[:, :, :, :5])
+    assert torch.equal(large[:, :16, 17:], made.volume[:, :, :3, :5])
+
+
+def test_it_knows_no_faces() -> None:
+    # a face is a plane like others: a step across it is among those inside, over many volumes
+    shares = []
+    for seed in range(6):
+        made = solid(noise(1, 24, 24), (12, 12, 12), schedule=(Level(1.0, 6, 3, 3),), seed=seed)
+        for dim in (1, 2, 3):
+            apart = made.volume - made.volume.roll(1, dim)
+            steps = apart.abs().movedim(dim, 0).flatten(1).mean(1)
+            shares.append(float((steps[1:] > steps[0]).double().mean()))
+    assert 0.25 < sum(shares) / len(shares) < 0.75
+
+
 def test_progress_rises_to_one_and_a_run_can_be_stopped() -> None:
     seen: list[SolidStep] = []
     small(on_step=seen.append)
@@ -131,16 +184,21 @@ def test_progress_rises_to_one_and_a_run_can_be_stopped() -> None:
 def test_slices_of_the_exemplar_itself_match_themselves() -> None:
     exemplar = noise(1, 16, 16)
     generator = torch.Generator().manual_seed(0)
-    model = slice_model(exemplar, 0, 8, torch.ones(1).double(), 64, generator)
+    model = slice_model(exemplar, None, 0, 8, torch.ones(1).double(), Pixels(), 64, generator)
     volume = exemplar[0][None, :, :, None].expand(8, 16, 16, 1).contiguous()
     across = groups((8, 16, 16), 0, 8, 8, torch.tensor([0, 0]))[:1]
-    matches, energy, _ = match(volume, [(model, g) for g in across], completeness=0.0, r=0.8)
+    pairs = [(model, g) for g in across]
+    prices = prices_of(volume, pairs, 0.0)
+    matches, energy, _ = match(volume, pairs, prices, r=0.8)
     assert matches[0].places[0].flatten().tolist() == [0, 8, 128, 136]
     table = table_of([exemplar])
-    pixel, axis = snapped(matches, table, volume, torch.ones(1).double())
+    pixel, axis, fields = snapped(matches, table, volume, torch.ones(1).double())
     assert torch.equal(pixel[0].flatten(), torch.arange(256))
     assert not bool(axis.any())
     assert energy > 0
+    again, same, _ = match(volume, pairs, prices, {0: fields[0].clone()}, r=0.8)  # proposed alone
+    assert torch.equal(again[0].places, matches[0].places)
+    assert same == energy
 
 
 def test_places_of_a_finer_level() -> None:
@@ -169,8 +227,8 @@ def test_slices_look_like_the_exemplar() -> None:
         ("channels", [noise(3, 32, 32), noise(1, 32, 32)], (16, 16, 16), {}),
         ("4 given", [noise(1, 32, 32)] * 4, (16, 16, 16), {}),
         ("none given", [None, None, None], (16, 16, 16), {}),
-        ("at least 8x8x8", noise(1, 32, 32), (16, 4, 16), {}),
-        ("at least 16 pixels", noise(1, 12, 32), (16, 16, 16), {}),
+        ("at least 6x6x6", noise(1, 32, 32), (16, 4, 16), {}),
+        ("at least 12 pixels", noise(1, 11, 32), (16, 16, 16), {}),
         ("GiB", noise(1, 32, 32), (60000, 60000, 60000), {}),
         ("r=0", noise(1, 32, 32), (16, 16, 16), {"r": 0.0}),
         ("completeness=-1", noise(1, 32, 32), (16, 16, 16), {"completeness": -1.0}),
@@ -192,7 +250,7 @@ def test_parts() -> None:
     assert sides_of(one).axes == (0, 0, 0)
     assert sides_of([one, 1 - one]).axes == (0, 1, 0)
     check_solid((8, 8, 8), 3, 8, 0)
-    assert [level.steps for level in solid_schedule(2)] == [2, 2, 2]
+    assert [level.steps for level in solid_schedule(2)] == [2, 2, 2, 2]
     made = small()
     assert made.report()["levels"][0]["scale"] == 0.5
     assert made.sheet().shape[0] == 3

@@ -2,6 +2,7 @@
 
 import json
 import re
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from torchtex.cli.base import Watch, app
-from torchtex.cli.files import check_outputs, choose, exemplar_path, same_channels
+from torchtex.cli.files import (
+    FEATURES,
+    check_outputs,
+    choose,
+    feature_of,
+    load_exemplars,
+    read_files,
+)
 from torchtex.cli.options import KeepPartial, Quiet, Report, Seed, Threads
 from torchtex.cli.recipe import carry_out, write_report
 
@@ -49,6 +57,16 @@ def solid(
         ),
     ] = None,
     map_weight: Annotated[float, typer.Option(help="Of the maps beside the colours.")] = 1.0,
+    mask: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="White where an exemplar may be used; repeat once per different exemplar. What "
+            "is transparent is left out too."
+        ),
+    ] = None,
+    feature: Annotated[
+        str, typer.Option(help="What is compared in slices: " + ", ".join(FEATURES))
+    ] = "pixels",
     r: Annotated[float, typer.Option(help="Robust exponent in (0, 2]; 2 is least squares.")] = 0.8,
     completeness: Annotated[
         float, typer.Option(help="How strongly unused parts of the exemplar are preferred; 0: not.")
@@ -60,7 +78,11 @@ def solid(
     octaves: Annotated[int, typer.Option(help="Of skeletal: halvings of the coarse solid.")] = 1,
     refine: Annotated[
         int, typer.Option(help="Of skeletal: steps at full scale; 0: none, as in the paper.")
-    ] = 1,
+    ] = 2,
+    tiled: Annotated[
+        str | None,
+        typer.Option(help="DEPTHxHEIGHTxWIDTH to write, filled with copies of the block."),
+    ] = None,
     seed: Seed = 0,
     threads: Threads = None,
     bits: Annotated[int, typer.Option(help="Per value of the output: 8, 16 or 32 (floats).")] = 8,
@@ -82,31 +104,36 @@ def solid(
     from torchtex.recipes.solid import solid_schedule
     from torchtex.recipes.solid_result import SolidCheckpoint
 
-    extent = _extent(size)
+    extent, whole = _extent(size), None if tiled is None else _extent(tiled, "tiled")
+    choose("feature", feature, FEATURES)
     choose("method", method, ("kopf", "skeletal"))
     if method == "skeletal" and steps is not None:
         raise ValueError(f"steps={steps} belongs to method=kopf; leave one of them out")
     drawn = map or []
-    read = {name: exemplar_path(name) for name in exemplar if name != "none"}
+    read = read_files(_different(exemplar), mask or [])
     read |= {name: Path(name) for name in drawn}
 
     def make(watch: Watch) -> "Solid":
-        zs = _exemplars(exemplar)
+        zs, masks = _exemplars(exemplar, mask or [])
         layers = _maps(drawn, exemplar)
         resume = None
         if checkpoint is not None and checkpoint.exists():
             resume = SolidCheckpoint.load(checkpoint)
         common: dict[str, Any] = {
-            "maps": layers, "map_weight": map_weight, "r": r, "completeness": completeness,
+            "maps": layers, "map_weight": map_weight, "masks": masks, "r": r,
+            "feature": feature_of(feature), "completeness": completeness,
             "histogram": histogram, "seed": seed, "resume": resume, "on_step": watch,
             "on_level": None if checkpoint is None else lambda state: state.save(checkpoint),
         }  # fmt: skip
         if method == "kopf":
             plan = None if steps is None else solid_schedule(steps)
             return kopf(zs, extent, schedule=plan, **common)
-        return skeletal_solid(zs, extent, octaves=octaves, refine=refine, **common)
+        made = skeletal_solid(zs, extent, octaves=octaves, refine=refine, **common)
+        if not quiet:
+            _tell(exemplar, made)
+        return made
 
-    outputs = Volumes(output, extent, bits, slices, report, checkpoint)
+    outputs = Volumes(output, extent, bits, slices, report, checkpoint, whole)
     carry_out(context, outputs, read, make, threads=threads, keep_partial=keep_partial, quiet=quiet)
 
 
@@ -121,6 +148,7 @@ class Volumes:
         slices: picture of some slices, or None.
         report: .json, or None.
         checkpoint: file that is not needed any more once the volume is written, or None.
+        tiled: depth, height and width to fill with copies of the volume, or None.
     """
 
     output: Path
@@ -129,13 +157,17 @@ class Volumes:
     slices: Path | None = None
     report: Path | None = None
     checkpoint: Path | None = None
+    tiled: tuple[int, int, int] | None = None
 
     def check(self, read: Mapping[str, Path]) -> None:
         """Refuses, before work starts, what cannot be written."""
         from torchtex import image as images
+        from torchtex.recipes.solid_parts import check_tiled
         from torchtex.volumes.files import check_volume_path
 
         check_volume_path(self.output, bits=self.bits, name="output")
+        if self.tiled is not None:
+            check_tiled(self.tiled)
         check_outputs(
             (
                 ("slices", self.slices, images.SUFFIXES),
@@ -150,7 +182,8 @@ class Volumes:
         from torchtex import image as images
         from torchtex.volumes.files import save_volume
 
-        save_volume(self.output, result.volume, bits=self.bits, name="output")
+        volume = result.volume if self.tiled is None else result.tiled(self.tiled)
+        save_volume(self.output, volume, bits=self.bits, name="output")
         if self.slices is not None:
             told = {"torchtex": json.dumps(about)}
             images.save(self.slices, result.sheet(), metadata=told, name="slices")
@@ -168,31 +201,44 @@ class Volumes:
         save_volume(self.output, whole, bits=self.bits, name="output")
 
 
-def _extent(text: str) -> tuple[int, int, int]:
+def _extent(text: str, name: str = "size") -> tuple[int, int, int]:
     """DEPTHxHEIGHTxWIDTH as numbers."""
     found = re.fullmatch(r"(\d{1,6})[xX](\d{1,6})[xX](\d{1,6})", text)
     if found is None or 0 in (numbers := [int(n) for n in found.groups()]):
         raise ValueError(
-            f"size={text!r} must be DEPTHxHEIGHTxWIDTH in voxels, all at least 1, such as 64x64x64"
+            f"{name}={text!r} must be DEPTHxHEIGHTxWIDTH in voxels, all at least 1, such as "
+            "64x64x64"
         )
     return numbers[0], numbers[1], numbers[2]
 
 
-def _exemplars(names: list[str]) -> "list[torch.Tensor | None]":
-    """Pictures, the same object for the same name, and None for `none`."""
-    from torchtex import image as images
+def _tell(names: list[str], made: "Solid") -> None:
+    """What is left out of exemplars, since 2^octaves does not divide them."""
+    for name, (rows, cols) in zip(_different(names), made.settings["unused"], strict=False):
+        if rows or cols:
+            print(
+                f"exemplar={name!r}: the last {rows} rows and {cols} columns fill no coarse pixel "
+                "and are left out",
+                file=sys.stderr,
+            )
 
-    distinct = list(dict.fromkeys(name for name in names if name != "none"))
+
+def _different(names: list[str]) -> list[str]:
+    """Exemplars that differ, in order."""
+    return list(dict.fromkeys(name for name in names if name != "none"))
+
+
+def _exemplars(
+    names: list[str], drawn: list[str]
+) -> "tuple[list[torch.Tensor | None], list[torch.Tensor | None]]":
+    """Pictures and their masks, the same objects for the same name, and None for `none`."""
+    distinct = _different(names)
     if not distinct:
         raise ValueError("exemplar: none given; name at least one picture")
-    pictures = [images.load(exemplar_path(name), name="exemplar") for name in distinct]
-    for name, picture in zip(distinct, pictures, strict=True):
-        if picture.mask is not None:
-            raise ValueError(
-                f"exemplar={name!r} has transparent pixels, which a solid cannot leave out; crop it"
-            )
-    loaded = dict(zip(distinct, same_channels([p.image for p in pictures]), strict=True))
-    return [loaded.get(name) for name in names]
+    zs, masks = load_exemplars(distinct, drawn)
+    pictures = dict(zip(distinct, zs, strict=True))
+    kept = dict(zip(distinct, masks, strict=True))
+    return [pictures.get(name) for name in names], [kept.get(name) for name in names]
 
 
 def _maps(drawn: list[str], names: list[str]) -> "list[torch.Tensor | None] | None":

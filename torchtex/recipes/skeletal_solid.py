@@ -5,19 +5,31 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
-from torchtex.recipes.slice_models import match, snapped
-from torchtex.recipes.solid import Run, Solving, fitting_levels, settings_of
-from torchtex.recipes.solid_parts import Sides, SolidExemplars, SolidMaps, check_solid, sides_of
-from torchtex.recipes.solid_places import finer_places, shapes_of, table_of
+from torchtex.features import Feature, Pixels
+from torchtex.recipes.slice_votes import Fields, match, prices_of, snapped
+from torchtex.recipes.solid_parts import (
+    Sides,
+    SolidExemplars,
+    SolidMaps,
+    SolidMasks,
+    check_solid,
+    sides_of,
+)
+from torchtex.recipes.solid_places import coarse_mask, finer_places, shapes_of
+from torchtex.recipes.solid_plan import Solving, fitting_levels, settings_of
 from torchtex.recipes.solid_result import Solid, SolidCheckpoint, SolidStep
+from torchtex.recipes.solid_run import Run
 from torchtex.schedule import Level
 from torchtex.wavelets import decompose
 
-COARSE = (Level(0.5, 8, 8, 2), Level(1.0, 8, 6, 2))
+COARSE = (Level(0.5, 8, 20, 1), Level(1.0, 8, 10, 2))
 """Levels of the coarse solid, by its own scale."""
+
+FINE = (6, 2)
+"""Size of the windows and their stride in the refinement."""
 
 
 def skeletal_solid(
@@ -25,9 +37,11 @@ def skeletal_solid(
     size: tuple[int, int, int],
     *,
     octaves: int = 1,
-    refine: int = 1,
+    refine: int = 2,
     maps: SolidMaps = None,
     map_weight: float = 1.0,
+    masks: SolidMasks = None,
+    feature: Feature | None = None,
     r: float = 0.8,
     completeness: float = 50.0,
     histogram: float = 5.0,
@@ -41,6 +55,9 @@ def skeletal_solid(
     Every coarse voxel has, for each of the three directions, a place in the coarse exemplar. The
     Haar detail that belongs to that place makes slices of full size, each used for as many fine
     voxels as a coarse one is thick, and a voxel is the mean over the directions.
+
+    Of an exemplar the last rows and columns that fill no coarse pixel are left out; the settings
+    say how many (`unused`). A size that 2^octaves does not divide is made exactly.
 
     Args:
         octaves: of the decomposition, 1 to 3: the coarse solid is 2, 4 or 8 times smaller.
@@ -64,27 +81,31 @@ def skeletal_solid(
         raise ValueError(f"octaves={octaves} must be 1, 2 or 3")
     if refine < 0:
         raise ValueError(f"refine={refine} must be at least 0")
-    sides = sides_of(exemplars, maps)
-    solving = Solving(r, completeness, histogram, map_weight)
+    sides = sides_of(exemplars, maps, masks)
+    solving = Solving(r, completeness, histogram, map_weight, feature or Pixels())
     factor = 2**octaves
     fine_sides, coarse_sides = _trimmed(sides, factor), _band(_trimmed(sides, factor), octaves)
     small = (-(-size[0] // factor), -(-size[1] // factor), -(-size[2] // factor))
     levels = _coarse_levels(coarse_sides, small, octaves)
     check_solid(size, len(sides.images[0]), levels[-1].size * factor, seed)
     settings = settings_of("skeletal", sides, size, levels, solving)
-    settings |= {"octaves": octaves, "refine": refine}
-    coarse = Run(coarse_sides, small, levels, solving, seed, settings)
-    fine = Run(fine_sides, size, [Level(1.0, 8, max(1, refine), 4)], solving, seed, settings)
+    unused = [[n % factor for n in shape] for shape in sides.shapes]
+    settings |= {"octaves": octaves, "refine": refine, "unused": unused}
+    coarse = Run(coarse_sides, small, levels, solving, seed, settings, coarse=True)
+    level = Level(1.0, FINE[0], max(1, refine), FINE[1])
+    fine = Run(fine_sides, size, [level], solving, seed, settings)
     share = 0.5 if refine else 1.0
     state = coarse.solve(_part(on_step, 0.0, share), on_level, resume)
     generator = torch.Generator()
     generator.set_state(state.randomness)
-    mixed, pixel, axis = _mixed(coarse, fine, state, generator)
+    mixed, fields = _mixed(coarse, fine, state, generator)
     earlier = 0.0 if resume is None else sum(trace.seconds for trace in resume.traces)
     if refine:
-        state = fine.solve_level(0, mixed, state, generator, _part(on_step, share, 1.0))
+        watch = _part(on_step, share, 1.0)
+        state = fine.solve_level(0, mixed, state, generator, watch, fields)
     else:
-        state = replace(state, pixel=pixel, axis=axis)
+        first = min(fields)
+        state = replace(state, pixel=fields[first], axis=torch.full_like(fields[first], first))
     made = fine.finished(state, time.perf_counter() - began + earlier)
     if not refine:
         mean = mixed[..., : sides.channels].permute(3, 0, 1, 2).contiguous()
@@ -99,8 +120,9 @@ def _trimmed(sides: Sides, factor: int) -> Sides:
         return z[:, : z.shape[1] // factor * factor, : z.shape[2] // factor * factor]
 
     return replace(
-        sides, exemplars=tuple(map(cut, sides.exemplars)), maps=tuple(map(cut, sides.maps))
-    )
+        sides, exemplars=tuple(map(cut, sides.exemplars)), maps=tuple(map(cut, sides.maps)),
+        masks=tuple(None if m is None else cut(m[None])[0] for m in sides.masks),
+    )  # fmt: skip
 
 
 def _band(sides: Sides, octaves: int) -> Sides:
@@ -110,8 +132,12 @@ def _band(sides: Sides, octaves: int) -> Sides:
         return decompose(z, "haar", octaves).approximation / 2**octaves
 
     return replace(
-        sides, exemplars=tuple(map(coarse, sides.exemplars)), maps=tuple(map(coarse, sides.maps))
-    )
+        sides, exemplars=tuple(map(coarse, sides.exemplars)), maps=tuple(map(coarse, sides.maps)),
+        masks=tuple(
+            None if m is None else coarse_mask(m, m.shape[0] >> octaves, m.shape[1] >> octaves)
+            for m in sides.masks
+        ),
+    )  # fmt: skip
 
 
 def _coarse_levels(sides: Sides, small: tuple[int, int, int], octaves: int) -> list[Level]:
@@ -132,34 +158,27 @@ def _part(
 
 def _mixed(
     coarse: Run, fine: Run, state: SolidCheckpoint, generator: torch.Generator
-) -> tuple[Float[Tensor, "d h w k"], Int[Tensor, "d h w"], Int[Tensor, "d h w"]]:
-    """The mean over the directions of coarse voxels with the detail of each, and one of them.
-
-    Returns:
-        The mean; and, of one direction, the pixel of the fine exemplars and the axis.
-    """
+) -> tuple[Float[Tensor, "d h w k"], Fields]:
+    """The mean over the directions of coarse voxels with the detail of each, and its places."""
     assert state.pixel is not None
     level = coarse.levels[-1]
-    models, table, weights = coarse.models(level, generator)
-    volume = table[state.pixel]
-    pairs = coarse.windows(level, models, volume.shape, generator)
-    matches, _, _ = match(volume, pairs, completeness=0.0, r=coarse.solving.r)
-    pictures = fine.images(fine.levels[0])
-    old, new, sharp = shapes_of(coarse.images(level)), shapes_of(pictures), table_of(pictures)
+    small, large = coarse.scaled(level), fine.scaled(fine.levels[0])
+    volume = small.table[state.pixel]
+    pairs = coarse.windows(
+        level, coarse.models(small, level, generator), volume.shape[:3], generator
+    )
+    matches, _, _ = match(volume, pairs, prices_of(volume, pairs, 0.0), r=coarse.solving.r)
+    _, _, said = snapped(matches, small.table, volume, small.weights)
+    old, new = shapes_of(small.pictures), shapes_of(large.pictures)
     parents = [
         ((torch.arange(many) + 0.5) * few / many).long().clamp(max=few - 1)
         for many, few in zip(fine.size, volume.shape[:3], strict=True)
     ]
-    total, first = None, None
-    axes = [axis for axis, which in enumerate(coarse.sides.axes) if which is not None]
-    for axis in axes:
-        own = [one for one in matches if one.group.axis == axis]
-        pixel, across = snapped(own, table, volume, weights)
-        places = finer_places(pixel, across, old, new, fine.size)
-        lacking = (volume - table[pixel])[parents[0]][:, parents[1]][:, :, parents[2]]
-        slices = sharp[places] + lacking  # the coarse voxel with the detail of its place
+    total, fields = None, {}
+    for axis, pixel in said.items():
+        fields[axis] = finer_places(pixel, torch.full_like(pixel, axis), old, new, fine.size)
+        lacking = (volume - small.table[pixel])[parents[0]][:, parents[1]][:, :, parents[2]]
+        slices = large.table[fields[axis]] + lacking  # the coarse voxel, its place's detail
         total = slices if total is None else total + slices
-        first = (places, torch.full_like(places, axis)) if first is None else first
     assert total is not None
-    assert first is not None
-    return total / len(axes), *first
+    return total / len(said), fields

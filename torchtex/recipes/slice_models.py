@@ -1,42 +1,34 @@
-"""Slices of a volume matched with exemplars, and voxels made of the matches: the two half-steps.
+"""Exemplars made ready for the slices of a volume: keys, their prices, and two searches.
 
 A volume under work is (d, h, w, k) with the channels last. Every window of every slice across an
-axis is matched with a neighborhood of the exemplar for that axis; then every voxel is a weighted
-mean of what its windows in three directions say, or the exemplar pixel that agrees best with it.
+axis is matched with a neighborhood of the exemplar for that axis: among all of them, or among
+those that its surroundings propose.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchtex.features import Feature
 from torchtex.label_spaces import label_space, strips
 from torchtex.matching import Exact, principal_axes
 from torchtex.neighborhoods import falloff
-from torchtex.quadratic import rowwise_sum
-from torchtex.volumes.histograms import excess
-from torchtex.volumes.slices import Group, Windows
+from torchtex.volumes.slices import Group
 
 MOST_KEYS = 2**14
-"""Of a larger exemplar so many neighborhoods are drawn at random."""
-
-MOST_PRICED = 2**15
-"""Prices of neighborhoods are made from about so many windows."""
+"""Of a larger exemplar so many neighborhoods, drawn at random, are searched; all are proposed."""
 
 SOFT = 1e-3
 """Squared distances of windows below this count as equal, so that no weight is infinite."""
 
-EVEN = 1.0
-"""Times the mean squared distance that is added to each in a robust weight: slices in one
-direction that match exactly would else overrule the two others for good."""
-
-NEAR = 1e-2
-"""Squared distances of colours below this count as equal: the heavier window is copied."""
+PART = 2**13
+"""Windows that are compared with proposals at a time: their keys fit into a cache."""
 
 
 @dataclass(frozen=True)
@@ -44,24 +36,35 @@ class SliceModel:
     """An exemplar made ready for slices; all slices and axes that follow it share it.
 
     Args:
-        starts: first pixel of each neighborhood, in the table of the pixels of all exemplars.
-        width: of the exemplar.
+        first: place of its first pixel in the table of the pixels of all exemplars.
+        places: first pixel of each neighborhood, in that table.
+        lookup: number of the neighborhood that begins at each pixel, or of one close by.
         size: of the windows.
+        roots: of the weights of the channels.
+        feature: what is compared.
         profile: weight of each value of a window.
         mean, axes: of the neighborhoods; queries are reduced to these axes.
         keys: the neighborhoods, reduced.
+        searched: numbers of those that a search goes through.
     """
 
-    starts: Int[Tensor, "m"]
-    width: int
+    first: int
+    places: Int[Tensor, "m"]
+    lookup: Int[Tensor, "hz wz"]
     size: int
+    roots: Float[Tensor, "k"]
+    feature: Feature
     profile: Float[Tensor, "e"]
     mean: Float[Tensor, "e"]
     axes: Float[Tensor, "e q"]
     keys: Float[Tensor, "m q"]
+    searched: Int[Tensor, "s"]
 
-    def reduced(self, windows: Float[Tensor, "n e"]) -> Float[Tensor, "n q"]:
-        """Windows on the principal axes."""
+    def queries(self, volume: Float[Tensor, "d h w k"], group: Group) -> Float[Tensor, "n q"]:
+        """The windows of a group, on the principal axes."""
+        slices = group.of(volume) * self.roots
+        pictures = [self.feature(one).permute(1, 2, 0) for one in slices.permute(0, 3, 1, 2)]
+        windows = group.windows.gather(torch.stack(pictures))
         return (windows * self.profile - self.mean) @ self.axes
 
     def prices(self, queries: Float[Tensor, "n q"], completeness: float) -> Float[Tensor, "m"]:
@@ -80,12 +83,61 @@ class SliceModel:
         """The keys made ready for search with their prices: price |q - k|^2 as an inner product."""
         import faiss  # after torch, so that one OpenMP runtime is already in place
 
-        norms = self.keys.square().sum(1)
+        keys, prices = self.keys[self.searched], prices[self.searched]
+        norms = keys.square().sum(1)
         priced = torch.stack([prices, prices * norms], 1)
-        table = torch.cat([priced, -2 * prices[:, None] * self.keys], 1)
+        table = torch.cat([priced, -2 * prices[:, None] * keys], 1)
         index = faiss.IndexFlatIP(table.shape[1])
         index.add(_array(-table))
-        return PricedKeys(index, self.keys)
+        return PricedKeys(index, self)
+
+    def proposed(self, group: Group, field: Int[Tensor, "d h w"]) -> list[Int[Tensor, "n"]]:
+        """Keys that windows of a group would have, did they go on as one of their voxels does.
+
+        The voxel at the middle of a window is asked in the slices in front and behind too.
+
+        Args:
+            field: pixel, in the table, that every voxel takes from the slices of this axis.
+
+        Source: coherent candidates, Ashikhmin 2001; here across slices too.
+        """
+        ends, middle = (0, self.size // 2, self.size - 1), self.size // 2
+        spots = [(i, j, 0) for i in ends for j in ends]
+        spots += [(middle, middle, step) for step in (-2, -1, 1, 2)]
+        found = []
+        for i, j, step in spots:
+            slices = group.windows.pad(group.of(field.roll(step, group.axis)[..., None]))
+            said = group.windows.at(slices, i, j).flatten() - self.first
+            width = self.lookup.shape[1]
+            row = torch.div(said, width, rounding_mode="floor") - i
+            col = said % width - j
+            row.clamp_(0, len(self.lookup) - 1)
+            found.append(self.lookup[row, col.clamp_(0, width - 1)])
+        return found
+
+    def nearest(
+        self,
+        queries: Float[Tensor, "n q"],
+        proposals: Sequence[Int[Tensor, "n"]],
+        prices: Float[Tensor, "m"],
+    ) -> tuple[Int[Tensor, "n"], Float[Tensor, "n"]]:
+        """The cheapest proposal of each query, and its squared distance."""
+        labels, squares = [], []
+        for start in range(0, len(queries), PART):
+            part = queries[start : start + PART]
+            best = part.new_full((len(part),), float("inf"))
+            label, square = torch.zeros_like(proposals[0][: len(part)]), best.clone()
+            for proposal in proposals:
+                key = proposal[start : start + PART]
+                squared = (part - self.keys[key]).square_().sum(1)
+                cost = squared * prices[key]
+                wins = cost < best
+                best = torch.where(wins, cost, best)
+                label = torch.where(wins, key, label)
+                square = torch.where(wins, squared, square)
+            labels.append(label)
+            squares.append(square)
+        return torch.cat(labels), torch.cat(squares)
 
 
 @dataclass(frozen=True)
@@ -93,7 +145,7 @@ class PricedKeys:
     """Keys of which each has a price, in a faiss index."""
 
     index: Any
-    keys: Float[Tensor, "m q"]
+    model: SliceModel
 
     def match(self, queries: Float[Tensor, "n q"]) -> tuple[Int[Tensor, "n"], Float[Tensor, "n"]]:
         """The cheapest key of each query, and its squared distance."""
@@ -102,8 +154,9 @@ class PricedKeys:
         faiss.omp_set_num_threads(torch.get_num_threads())
         norms = queries.square().sum(1, keepdim=True)
         sought = _array(torch.cat([norms, torch.ones_like(norms), queries], 1))
-        labels = torch.from_numpy(self.index.search(sought, 1)[1][:, 0]).to(queries.device)
-        return labels, (queries - self.keys[labels]).square().sum(1)
+        found = torch.from_numpy(self.index.search(sought, 1)[1][:, 0]).to(queries.device)
+        labels = self.model.searched[found]
+        return labels, (queries - self.model.keys[labels]).square().sum(1)
 
 
 def _array(x: Tensor) -> NDArray[np.float32]:
@@ -112,9 +165,11 @@ def _array(x: Tensor) -> NDArray[np.float32]:
 
 def slice_model(
     image: Float[Tensor, "k h w"],
+    mask: Bool[Tensor, "h w"] | None,
     first: int,
     size: int,
     weights: Float[Tensor, "k"],
+    feature: Feature,
     dimensions: int,
     generator: torch.Generator,
 ) -> SliceModel:
@@ -122,181 +177,48 @@ def slice_model(
 
     Args:
         image: of the level, with its maps as further channels.
+        mask: True where it may be used.
         first: place of its first pixel in the table of all exemplars.
         size: of the windows.
         weights: of the channels in a comparison.
+        feature: what is compared.
         dimensions: principal axes that are kept.
         generator: for the axes, and for the choice of keys where there are many.
     """
     height, width = image.shape[1:]
-    space = label_space([(height, width)], size, device=image.device)
-    chosen = torch.arange(len(space))
+    space = label_space([(height, width)], size, [mask], device=image.device)
+    every = torch.arange(len(space))
+    searched = every
     if len(space) > MOST_KEYS:
-        chosen = torch.randperm(len(space), generator=generator)[:MOST_KEYS].sort().values
-    row, col = space.positions[chosen, 1:].unbind(1)
-    profile = (falloff(size).to(image).flatten()[:, None] * weights).sqrt().flatten()
-    vectors = strips([image], space, size).patches(chosen) * profile
+        searched = torch.randperm(len(space), generator=generator)[:MOST_KEYS].sort().values
+    row, col = space.positions[:, 1:].unbind(1)
+    roots = weights.sqrt()
+    compared = feature(image * roots[:, None, None])
+    profile = falloff(size).to(image).sqrt().flatten().repeat_interleave(len(compared))
+    vectors = strips([compared], space, size).patches(every) * profile
     mean = vectors.mean(0)
     axes = principal_axes(vectors, dimensions, generator)
     keys = (vectors - mean) @ axes
-    return SliceModel(first + row * width + col, width, size, profile, mean, axes, keys)
+    return SliceModel(
+        first, first + row * width + col, filled(space.tables[0]), size, roots, feature, profile,
+        mean, axes, keys, searched,
+    )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Matched:
-    """Windows of one group with their matches.
+def filled(table: Int[Tensor, "h w"]) -> Int[Tensor, "h w"]:
+    """A table of numbers whose gaps (-1) take a number close by.
 
-    Args:
-        group: where they are.
-        model: that they were matched with.
-        places: (slices, rows, columns) of windows, the first pixel of the match in the table.
-        weights: the robust weight of each window.
+    Example:
+        >>> filled(torch.tensor([[-1, 4, -1, -1, 7]])).tolist()
+        [[4, 4, 4, 7, 7]]
     """
-
-    group: Group
-    model: SliceModel
-    places: Int[Tensor, "n ny nx"]
-    weights: Float[Tensor, "n ny nx"]
-
-    def at(self, row: int, col: int) -> Int[Tensor, "v"]:
-        """Pixels of the table that lie at (row, column) of every window."""
-        return (self.places + (row * self.model.width + col)).flatten()
-
-
-def match(
-    volume: Float[Tensor, "d h w k"],
-    sides: Sequence[tuple[SliceModel, Group]],
-    *,
-    completeness: float,
-    r: float,
-) -> tuple[list[Matched], float, int]:
-    """The M-step: every window of all groups matched.
-
-    Returns:
-        The matches, the sum of distance^r, and the number of windows.
-    """
-    models = {id(model): model for model, _ in sides}
-    keys = {}
-    for name, model in models.items():
-        mine = [group for other, group in sides if id(other) == name]
-        sample = torch.cat(list(_sampled(volume, model, mine)))
-        keys[name] = model.search(model.prices(sample, completeness))
-    labels, squares = [], []
-    for model, group in sides:
-        windows = group.windows.gather(group.of(volume))
-        label, squared = keys[id(model)].match(model.reduced(windows))
-        labels.append(label)
-        squares.append(squared)
-    count = sum(len(squared) for squared in squares)
-    energy = sum(float(rowwise_sum((s + SOFT).pow(r / 2))) for s in squares)
-    mean = sum(float(rowwise_sum(s)) for s in squares) / count
-    soft = SOFT + EVEN * mean
-    found = []
-    for (model, group), label, squared in zip(sides, labels, squares, strict=True):
-        shape = (-1, *group.windows.shape)
-        weights = (squared + soft).pow(r / 2 - 1).view(shape)
-        found.append(Matched(group, model, model.starts[label].view(shape), weights))
-    return found, energy, count
-
-
-def _sampled(
-    volume: Tensor, model: SliceModel, groups: Sequence[Group]
-) -> Iterator[Float[Tensor, "n q"]]:
-    """Queries of some windows, spread over all groups."""
-    total = sum(
-        group.of(volume).shape[0] * group.windows.shape[0] * group.windows.shape[1]
-        for group in groups
-    )
-    step = max(1, total // MOST_PRICED)
-    for group in groups:
-        yield model.reduced(group.windows.gather(group.of(volume))[::step])
-
-
-def averaged(
-    matches: Sequence[Matched],
-    table: Float[Tensor, "t k"],
-    volume: Float[Tensor, "d h w k"],
-    histogram: float,
-) -> Float[Tensor, "d h w k"]:
-    """The E-step: every voxel the weighted mean of what its windows in all directions say.
-
-    Args:
-        matches: of all groups.
-        table: pixels of all exemplars.
-        volume: whose histogram is compared with that of the table.
-        histogram: how strongly values that are too frequent lose weight; 0: not at all.
-
-    Source: Kopf et al. 2007, sections 3.1 and 3.2.
-    """
-    k = table.shape[1]
-    share = 1 / (1 + histogram * excess(table.T, volume.flatten(0, 2).T))
-    weighed = torch.cat([table * share[:, None], share[:, None]], 1)
-    total = volume.new_zeros(*volume.shape[:3], k + 1)
-    for one in matches:
-        windows, shape = one.group.windows, (*one.places.shape, k + 1)
-        profile = falloff(windows.size).to(volume)
-        sums = volume.new_zeros(shape[0], *windows.padded, k + 1)
-        for i, j in windows.places():  # one place at a time: no two meet in one addition
-            said = weighed.index_select(0, one.at(i, j)).view(shape)
-            windows.at(sums, i, j).add_(said * (one.weights * profile[i, j])[..., None])
-        one.group.of(total).add_(windows.fold(sums))
-    return total[..., :k] / total[..., k:]
-
-
-def snapped(
-    matches: Sequence[Matched],
-    table: Float[Tensor, "t k"],
-    mean: Float[Tensor, "d h w k"],
-    weights: Float[Tensor, "k"],
-) -> tuple[Int[Tensor, "d h w"], Int[Tensor, "d h w"]]:
-    """The exemplar pixel for every voxel: near the mean, and heavy.
-
-    Means over three directions are blurred; of the pixels that went into one, that which is
-    nearest to it, by |pixel - mean|^2 / weight, is as sharp as the exemplar.
-
-    Returns:
-        Pixel in the table, and the axis of the slice that it came from.
-
-    Source: the discrete solver of Han et al. 2006; for solids Chen and Wang 2010.
-    """
-    best = mean.new_full((*mean.shape[:3], 1), float("inf"))
-    pixel = torch.zeros_like(best, dtype=torch.long)
-    axis = torch.zeros_like(pixel)
-    for one in matches:
-        windows, shape = one.group.windows, one.places.shape
-        profile = falloff(windows.size).to(mean)
-        wanted = windows.pad(one.group.of(mean))
-        cost = mean.new_full((shape[0], *windows.padded), float("inf"))
-        source = torch.zeros_like(cost, dtype=torch.long)
-        for i, j in windows.places():
-            place = one.at(i, j)
-            said = table.index_select(0, place).view(*shape, -1)
-            gap = (said - windows.at(wanted, i, j)).square_() @ weights
-            gap = (gap + NEAR) / (one.weights * profile[i, j])
-            here, there = windows.at(cost, i, j), windows.at(source, i, j)
-            wins = gap < here
-            here.copy_(torch.where(wins, gap, here))
-            there.copy_(torch.where(wins, place.view(shape), there))
-        cost, source = _folded_least(windows, cost, source)
-        old = one.group.of(best)[..., 0]
-        wins = cost < old
-        old.copy_(torch.where(wins, cost, old))
-        for held, new in ((pixel, source), (axis, torch.full_like(source, one.group.axis))):
-            view = one.group.of(held)[..., 0]
-            view.copy_(torch.where(wins, new, view))
-    return pixel[..., 0], axis[..., 0]
-
-
-def _folded_least(windows: Windows, cost: Tensor, source: Tensor) -> tuple[Tensor, Tensor]:
-    """As `Windows.fold`, but the lesser cost stays."""
-    for dim, extent in ((1, windows.rows), (2, windows.cols)):
-        over = cost.shape[dim] - extent
-        near, far = cost.narrow(dim, 0, over), cost.narrow(dim, extent, over)
-        wins = far < near
-        held = source.narrow(dim, 0, over)
-        held.copy_(torch.where(wins, source.narrow(dim, extent, over), held))
-        near.copy_(torch.where(wins, far, near))
-        shift = windows.offset[dim - 1]
-        cost = cost.narrow(dim, 0, extent).roll(shift, dim)
-        source = source.narrow(dim, 0, extent).roll(shift, dim)
-    return cost, source
+    table = table.clone()
+    assert bool((table >= 0).any())
+    while bool((table < 0).any()):
+        old = table.clone()
+        for dim in (0, 1):
+            for to, of in ((0, 1), (1, 0)):
+                here = table.narrow(dim, to, table.shape[dim] - 1)
+                there = old.narrow(dim, of, table.shape[dim] - 1)
+                here.copy_(torch.where(here < 0, there, here))
+    return table

@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 
 import torch
-from jaxtyping import Float, Int
+import torch.nn.functional as F
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchtex.volumes.slices import PLANES
@@ -17,6 +18,33 @@ def table_of(pictures: Sequence[Float[Tensor, "k _ _"]]) -> Float[Tensor, "t k"]
 def shapes_of(pictures: Sequence[Tensor]) -> tuple[tuple[int, int], ...]:
     """Height and width of each."""
     return tuple((z.shape[1], z.shape[2]) for z in pictures)
+
+
+def coarse_mask(
+    mask: Bool[Tensor, "h w"] | None, height: int, width: int
+) -> Bool[Tensor, "h2 w2"] | None:
+    """A mask at a coarser scale: True where all that a pixel covers may be used.
+
+    Example:
+        >>> coarse_mask(torch.tensor([[True, True, True, False]]), 1, 2).tolist()
+        [[True, False]]
+    """
+    if mask is None:
+        return None
+    return F.adaptive_avg_pool2d(mask[None].double(), (height, width))[0] > 0.999
+
+
+def usable(
+    masks: Sequence[Tensor | None], shapes: Sequence[tuple[int, int]]
+) -> Bool[Tensor, "t"] | None:
+    """Which pixels of the table may be used; None for all."""
+    if all(mask is None for mask in masks):
+        return None
+    every = [
+        torch.ones(h * w, dtype=torch.bool) if mask is None else mask.flatten().cpu()
+        for mask, (h, w) in zip(masks, shapes, strict=True)
+    ]
+    return torch.cat(every)
 
 
 def places_of(

@@ -15,7 +15,7 @@ from torchtex import image as images
 from torchtex.schedule import Level
 from torchtex.sources import UNREADABLE, check_maps
 from torchtex.volumes.files import save_volume
-from torchtex.volumes.slices import diagonal_slice, slices_of
+from torchtex.volumes.slices import diagonal_slice, slices_of, tiled
 
 
 @dataclass(frozen=True)
@@ -101,6 +101,10 @@ class Solid:
             here = which == number
             whole[:, here] = layer[:, row[here], col[here]]
         return whole
+
+    def tiled(self, size: tuple[int, int, int]) -> Float[Tensor, "c d2 h2 w2"]:
+        """A volume of another size, such as 256 x 256 x 256, filled with copies of this one."""
+        return tiled(self.volume, size)
 
     def save(self, path: str | Path, *, bits: int = 8) -> None:
         """Writes the volume: .npy, .nrrd, .vti, .zarr, or a folder of slices without an ending."""

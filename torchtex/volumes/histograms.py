@@ -1,7 +1,7 @@
 """Histograms of exemplar and volume: how far apart, and weights that draw them together."""
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 
@@ -42,13 +42,20 @@ def bins_of(values: Float[Tensor, "c *space"], bins: int = 16) -> Int[Tensor, "c
 
 
 def excess(
-    exemplar: Float[Tensor, "c m"], volume: Float[Tensor, "c v"], *, bins: int = 16
+    exemplar: Float[Tensor, "c m"],
+    volume: Float[Tensor, "c v"],
+    *,
+    bins: int = 16,
+    used: Bool[Tensor, "m"] | None = None,
 ) -> Float[Tensor, "m"]:
     """How much too frequent the values of each exemplar pixel are in the volume.
 
     sum over channels j of max(0, H_v,j(b) - H_e,j(b)) / H_e,j(b), b the bin of the pixel's value.
     A contribution to a voxel has its weight divided by 1 + this, so that the colours of a volume
     stay those of its exemplar and its mean does not fade to grey.
+
+    Args:
+        used: pixels of the exemplar that its histogram is made of; all unless given.
 
     Source: Kopf et al. 2007, section 3.2; relative to H_e, so that rare values count too.
 
@@ -58,8 +65,9 @@ def excess(
     """
     total = exemplar.new_zeros(exemplar.shape[1])
     for ours, theirs in zip(bins_of(exemplar, bins), bins_of(volume, bins), strict=True):
-        held = torch.bincount(ours, minlength=bins).to(total) / len(ours)
+        own = ours if used is None else ours[used]
+        held = torch.bincount(own, minlength=bins).to(total) / len(own)
         made = torch.bincount(theirs, minlength=bins).to(total) / len(theirs)
-        over = (made - held).clamp(min=0) / held.clamp(min=1 / len(ours))
+        over = (made - held).clamp(min=0) / held.clamp(min=1 / len(own))
         total += over[ours]
     return total

@@ -57,6 +57,22 @@ def diagonal_slice(
     return planes[:, :, place % first, (place + shift) % second]
 
 
+def tiled(
+    volume: Float[Tensor, "c d h w"], size: tuple[int, int, int]
+) -> Float[Tensor, "c d2 h2 w2"]:
+    """A volume of another size, filled with copies of one that tiles, from its first corner on.
+
+    Example:
+        >>> tiled(torch.rand(3, 8, 8, 8), (16, 12, 8)).shape
+        torch.Size([3, 16, 12, 8])
+    """
+    for dim, many in enumerate(size, 1):
+        if volume.shape[dim] != many:
+            place = torch.arange(many, device=volume.device) % volume.shape[dim]
+            volume = volume.index_select(dim, place)
+    return volume
+
+
 @dataclass(frozen=True)
 class Windows:
     """Windows on slices of rows x cols voxels that wrap around, `stride` apart from `offset` on.
@@ -101,7 +117,7 @@ class Windows:
         ny, nx = self.shape
         return self.stride * (ny - 1) + self.size, self.stride * (nx - 1) + self.size
 
-    def pad(self, slices: Float[Tensor, "n rows cols k"]) -> Float[Tensor, "n prows pcols k"]:
+    def pad(self, slices: Shaped[Tensor, "n rows cols k"]) -> Shaped[Tensor, "n prows pcols k"]:
         """Slices that begin at `offset` and go on around the border."""
         for dim, (extent, wide) in enumerate(
             zip((self.rows, self.cols), self.padded, strict=True), 1
