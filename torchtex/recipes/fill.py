@@ -179,6 +179,7 @@ def _laid(hole: Hole, order: Order, side: int, solver: MinCut, seed: int) -> Int
         patch=fitting(hole.known, side),
         order=order,
         rim=0,
+        fresh=0.0,  # what fits best: cuts choose among many
         poisson=False,
         solver=solver,
         seed=seed,
