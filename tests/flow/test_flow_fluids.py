@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from torchtex.flow import fluids
-from torchtex.flow.fluids import DoubleGyre, StableFluid, Vortices, vortex_pair
+from torchtex.flow.fluids import DoubleGyre, StableFluid
+from torchtex.flow.vortices import Vortices, vortex_pair
 from torchtex.flow.warps import divergence
 
 

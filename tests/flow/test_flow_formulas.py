@@ -8,9 +8,10 @@ import torch
 
 from torchtex.flow import formulas
 from torchtex.flow.fields import Flow, Given, Scaled, Summed, Uniform
-from torchtex.flow.fluids import DoubleGyre, StableFluid, Vortices, vortex_pair
+from torchtex.flow.fluids import DoubleGyre, StableFluid
 from torchtex.flow.formulas import Rotation, Saddle, Shear, Sink, Source, Wave
 from torchtex.flow.strokes import Strokes
+from torchtex.flow.vortices import Vortices, vortex_pair
 from torchtex.flow.warps import divergence, jacobian
 from torchtex.quadratic import threads
 

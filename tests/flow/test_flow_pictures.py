@@ -9,9 +9,9 @@ from conftest import noise, stripes
 
 from torchtex.flow import pictures
 from torchtex.flow.fields import Uniform
-from torchtex.flow.fluids import vortex_pair
 from torchtex.flow.formulas import Rotation, Saddle
 from torchtex.flow.pictures import direction_colors, draw_arrows, flow_picture, lic
+from torchtex.flow.vortices import vortex_pair
 from torchtex.quadratic import threads
 
 KINDS: tuple[Literal["lic", "arrows", "both"], ...] = ("lic", "arrows", "both")

@@ -9,8 +9,9 @@ from torch import Tensor
 
 from torchtex.flow import warps
 from torchtex.flow.fields import Flow, Uniform
-from torchtex.flow.fluids import StableFluid, Vortices, vortex_pair
+from torchtex.flow.fluids import StableFluid
 from torchtex.flow.formulas import Rotation, Saddle, Shear, Sink, Source
+from torchtex.flow.vortices import Vortices, vortex_pair
 from torchtex.flow.warps import advect, coverage, divergence, invert, jacobian, sample, warp
 from torchtex.quadratic import threads
 

@@ -10,9 +10,10 @@ from conftest import noise
 from torchtex.flow import words
 from torchtex.flow.fields import Flow, Given, Summed, Uniform
 from torchtex.flow.files import save_flow
-from torchtex.flow.fluids import DoubleGyre, StableFluid, Vortices, vortex_pair
+from torchtex.flow.fluids import DoubleGyre, StableFluid
 from torchtex.flow.formulas import Rotation, Saddle, Shear, Sink, Source, Wave
 from torchtex.flow.strokes import Strokes
+from torchtex.flow.vortices import Vortices, vortex_pair
 from torchtex.flow.words import parse_flow
 
 

@@ -3,8 +3,8 @@
 A flow field is (2, h, w), the displacement of every pixel as (row, column) in pixels per frame: a
 pixel at p is at p + f(p) in the next frame. A `Flow` gives the field between frames `frame` and
 `frame + 1` for any size, so places and lengths are shares of the texture: a centre (row, column)
-of height and width, a radius of the shorter side. Angles are degrees, and turn counter-clockwise
-on the screen from a motion to the right. Fields are float64 on the CPU, except those given.
+of height and width, a radius of the shorter side. Angles are degrees, counter-clockwise from a
+motion to the right. Fields are float64 on the CPU, except those given.
 """
 
 import math

@@ -9,9 +9,10 @@ from typing import Any
 
 from torchtex.flow.fields import Flow, Summed, Uniform
 from torchtex.flow.files import FLOW_SUFFIXES, load_flow, load_strokes
-from torchtex.flow.fluids import DoubleGyre, StableFluid, Vortices, vortex_pair
+from torchtex.flow.fluids import DoubleGyre, StableFluid
 from torchtex.flow.formulas import Rotation, Saddle, Shear, Sink, Source, Wave
 from torchtex.flow.strokes import Strokes
+from torchtex.flow.vortices import Vortices, vortex_pair
 
 
 def parse_flow(text: str, *, name: str = "flow") -> Flow:
