@@ -8,8 +8,9 @@ that are prescribed, `diagonal ...` over planes at 45 degrees along an axis that
 over that of `synthesize`, and `over real` over that of a part of the photo that is not in the
 exemplar, of the same size, where the photo is large enough. `emd` is the earth mover's distance
 between the values of the volume and of the exemplar, of the worst channel; `seam` the steps across
-the worst pair of faces over those inside. Photos with a grain or courses (`SIDED`) prescribe the
-side views alone.
+the worst pair of faces over the mean of those inside, `most inside` the largest of those inside
+over it, and `larger` the share of planes inside whose step is larger than that of the faces.
+Photos with a grain or courses (`SIDED`) prescribe the side views alone.
 
 `large` makes one 128^3 solid each way, each in a process of its own that tells its peak memory.
 """
@@ -40,6 +41,7 @@ PLACES = (3, 24, 45)
 WAYS = {"kopf": solid, "skeletal": skeletal_solid}
 COLUMNS = (
     "cpu", "seconds", "nn", "tail", "swd", "diagonal nn", "diagonal tail", "emd", "seam",
+    "most inside", "larger",
     "nn over 2d", "tail over 2d", "nn over real", "tail over real", "diagonal tail over real",
 )  # fmt: skip
 
@@ -53,13 +55,20 @@ def judged(pictures, exemplar):
     }
 
 
-def seam_of(volume):
-    """Steps across the faces over steps inside, of the worst axis."""
-    ratios = []
+def faces_of(volume):
+    """Steps across the faces, of the worst axis, and the largest inside, over the mean inside.
+
+    Planes inside differ too: `larger` is the share of them, over all axes, whose step is larger
+    than that across the face; a half where faces are planes like others.
+    """
+    worst, most, larger = [], [], []
     for dim in (1, 2, 3):
         steps = (volume - volume.roll(1, dim)).abs().movedim(dim, 0).flatten(1).mean(1)
-        ratios.append(float(steps[0] / steps[1:].mean()))
-    return max(ratios)
+        inside = steps[1:]
+        worst.append(float(steps[0] / inside.mean()))
+        most.append(float(inside.max() / inside.mean()))
+        larger.append(float((inside > steps[0]).double().mean()))
+    return {"seam": max(worst), "most inside": max(most), "larger": statistics.fmean(larger)}
 
 
 def looks(made, exemplar, axes):
@@ -69,8 +78,7 @@ def looks(made, exemplar, axes):
     found = judged(cut, exemplar)
     found |= {f"diagonal {name}": value for name, value in judged(diagonal, exemplar).items()}
     found["emd"] = float(earth_mover(made.volume, exemplar).max())
-    found["seam"] = seam_of(made.volume)
-    return found
+    return found | faces_of(made.volume)
 
 
 def ratio(one, other):
@@ -131,7 +139,9 @@ def worker(way, path, extent):
     made, spent = once(WAYS[way], exemplar, (extent,) * 3)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
     row = {"way": way, "extent": extent, "MiB": peak} | spent
-    row |= {"emd": float(earth_mover(made.volume, exemplar).max()), "seam": seam_of(made.volume)}
+    row |= {"emd": float(earth_mover(made.volume, exemplar).max()), "way": way} | faces_of(
+        made.volume
+    )
     print(json.dumps(row))
 
 
@@ -143,8 +153,8 @@ def table(file, report):
         lines += ["|" + " --- |" * (len(COLUMNS) + 2)]
         for row in report["slices"]:
             cells = [shown(row[key], 1) for key in COLUMNS[:2]]
-            cells += [shown(row[key], 3) for key in COLUMNS[2:9]]
-            cells += [shown(row[key], 2) for key in COLUMNS[9:]]
+            cells += [shown(row[key], 3) for key in COLUMNS[2:11]]
+            cells += [shown(row[key], 2) for key in COLUMNS[11:]]
             lines.append("| " + " | ".join([row["exemplar"], row["way"], *cells]) + " |")
         lines += ["", "Skeletal over kopf, medians over the exemplars:"]
         ways = {way: [r for r in report["slices"] if r["way"] == way] for way in WAYS}
