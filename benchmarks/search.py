@@ -24,7 +24,8 @@ from common import add_arguments, environment, measured, photos_of, timed
 from exemplars import crop
 
 import torchtex
-from torchtex.patches import pick, ssd, ssd_exhaustive, ssd_search
+from torchtex.patches import ssd, ssd_exhaustive, ssd_search
+from torchtex.picks import pick
 from torchtex.qtp import Qtp
 
 SIDE = 360

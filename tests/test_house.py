@@ -38,6 +38,8 @@ FLOORS = (
         "sources",
         "cuts.laplace",
         "cuts.problems",
+        "picks",
+        "templates",
         "flow.fields",
         "video",
         "layers.chaos",

@@ -6,16 +6,8 @@ from conftest import corner, noise, stripes
 from torch import Tensor
 
 from torchtex import patches
-from torchtex.patches import (
-    box_sums,
-    pick,
-    pick_soft,
-    ssd,
-    ssd_canvas,
-    ssd_exhaustive,
-    ssd_search,
-    summed_area,
-)
+from torchtex.patches import box_sums, ssd, ssd_canvas, ssd_exhaustive, ssd_search, summed_area
+from torchtex.picks import pick, pick_soft
 from torchtex.quadratic import threads
 
 

@@ -10,8 +10,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchtex.image import check_image
 from torchtex.quadratic import threads
+from torchtex.templates import _known, known_exemplar, known_template
 
 _TRANSFORMED = 2**22  # pixels of templates, enlarged to the exemplar, transformed at a time
 _ROUNDING = 8 * torch.finfo(torch.float64).eps  # of a Fourier transform, with some room
@@ -266,131 +266,6 @@ def ssd_canvas(
         noise = _norm(x) * _norm(z) + _norm(energy) * _norm(k) + _norm(m) * _norm(squares)
         costs = torch.where(found[0] < _ROUNDING * noise, 0, found[0])
     return torch.where(areas > 0, costs, torch.inf).to(canvas.dtype), areas
-
-
-def pick(
-    costs: Float[Tensor, "rows cols"], tolerance: float, generator: torch.Generator
-) -> tuple[int, int]:
-    """A position drawn evenly from those whose cost is at most (1 + tolerance) times the least.
-
-    Raises:
-        ValueError: the tolerance is negative, or no cost is finite.
-
-    Source: Efros and Freeman 2001, with a tolerance of 0.1.
-
-    Example:
-        >>> pick(torch.tensor([[3.0, 1.0, 2.0]]), 0.1, torch.Generator())
-        (0, 1)
-    """
-    if not tolerance >= 0:
-        raise ValueError(f"tolerance={tolerance} must be at least 0")
-    flat = _finite_costs(costs)
-    near = (flat <= (1 + tolerance) * flat.min()).nonzero()[:, 0]
-    draw = torch.randint(len(near), (1,), generator=generator, device=generator.device)
-    return divmod(int(near[int(draw)]), costs.shape[1])
-
-
-def pick_soft(
-    costs: Float[Tensor, "rows cols"], scale: float, generator: torch.Generator
-) -> tuple[int, int]:
-    """A position drawn with probability in proportion to exp(-cost / scale).
-
-    Graphcut textures takes the cost per overlapping pixel, and k sigma^2 as the scale, with
-    sigma^2 the variance of the exemplar's pixels and k from 0.001 (strict) to 1.
-
-    Raises:
-        ValueError: the scale is not positive, or no cost is finite.
-
-    Source: Kwatra et al. 2003 (Graphcut textures), section 3.1, equation 3.
-
-    Example:
-        >>> pick_soft(torch.tensor([[3.0, 1.0, 2.0]]), 1e-3, torch.Generator())
-        (0, 1)
-    """
-    if not scale > 0:
-        raise ValueError(f"scale={scale} must be positive")
-    flat = _finite_costs(costs).double()
-    with threads(1):
-        upto = torch.exp((flat.min() - flat) / scale).cumsum(0)
-    draw = torch.rand(1, generator=generator, device=generator.device, dtype=torch.float64)
-    found = torch.searchsorted(upto, draw.to(upto.device) * upto[-1], right=True)
-    return divmod(min(int(found), len(flat) - 1), costs.shape[1])
-
-
-def _finite_costs(costs: Tensor) -> Tensor:
-    flat = costs.flatten()
-    if bool(flat.isnan().any()):
-        raise ValueError(f"costs hold NaN at {int(flat.isnan().sum())} positions; replace them")
-    if not bool(flat.isfinite().any()):
-        raise ValueError(f"costs: none of {len(flat)} is finite; allow more positions")
-    return flat
-
-
-def known_exemplar(exemplar: Tensor, usable: Tensor | None) -> tuple[Tensor, Tensor | None]:
-    """The exemplar with 0 where it may not be used, and a mask or None.
-
-    Raises:
-        ValueError: the exemplar is no image, or its mask is empty or of another size.
-
-    Example:
-        >>> known_exemplar(torch.ones(1, 1, 2), torch.tensor([[True, False]]))[0].tolist()
-        [[[1.0, 0.0]]]
-    """
-    if usable is None:
-        check_image(exemplar, "exemplar")
-        return exemplar, None
-    z, m = _known(exemplar, usable, "exemplar", "usable")
-    return z, m > 0
-
-
-def _known(image: Tensor, mask: Tensor, name: str, mask_name: str) -> tuple[Tensor, Tensor]:
-    """The image with 0 where its mask is False, and the mask as float64."""
-    if image.shape[1:] != mask.shape:
-        raise ValueError(
-            f"{mask_name} has shape {tuple(mask.shape)}; {name} asks for {tuple(image.shape[1:])}"
-        )
-    if not bool(mask.any()):
-        raise ValueError(f"{mask_name} is False everywhere; mark at least one pixel of {name}")
-    image = torch.where(mask, image, 0)
-    check_image(image, name)
-    return image, mask.double()
-
-
-def known_template(
-    templates: Tensor, mask: Tensor | None, shape: tuple[int, int, int]
-) -> tuple[Tensor, Tensor]:
-    """Templates with 0 where they do not count, and (1 or n, 1, h, w) weights in float64.
-
-    Args:
-        shape: (channels, rows, columns) of the exemplar.
-
-    Raises:
-        ValueError: they do not fit the exemplar, or the mask makes no sense.
-
-    Example:
-        >>> known_template(torch.ones(2, 1, 3, 3), None, (1, 8, 8))[1].shape
-        torch.Size([1, 1, 3, 3])
-    """
-    n, c, h, w = templates.shape
-    if c != shape[0]:
-        raise ValueError(f"template has {c} channels and exemplar {shape[0]}; give both the same")
-    if h > shape[1] or w > shape[2]:
-        raise ValueError(
-            f"template of {h} x {w} pixels does not fit in the exemplar of "
-            f"{shape[1]} x {shape[2]}; take a smaller patch"
-        )
-    m = templates.new_ones(h, w) if mask is None else mask
-    if m.shape not in ((h, w), (n, h, w)):
-        raise ValueError(f"mask has shape {tuple(m.shape)}; the template asks for {(h, w)}")
-    m = m.reshape(-1, 1, h, w).double()
-    if not bool((m.isfinite() & (m >= 0)).all()):
-        raise ValueError("mask holds weights that are negative or not finite; use 0 and above")
-    if not bool((m > 0).flatten(1).any(1).all()):
-        raise ValueError("mask is 0 everywhere; mark at least one pixel of the template")
-    t = torch.where(m > 0, templates, 0)
-    if not bool(t.isfinite().all()):
-        raise ValueError("template holds NaN or infinity where its mask counts; replace them")
-    return t, m
 
 
 def _good(n: int) -> int:

@@ -7,8 +7,9 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchtex.matching import Exact, Index, Matcher, principal_axes
-from torchtex.patches import box_sums, known_exemplar, known_template, ssd, summed_area
+from torchtex.patches import box_sums, ssd, summed_area
 from torchtex.quadratic import threads
+from torchtex.templates import known_exemplar, known_template
 
 _FITTED = 2**22  # cell values of a pyramid made at a time
 _SAMPLED = 1000  # patches that principal axes are made of

@@ -28,7 +28,8 @@ from torchtex.inputs import (
     memory_of,
     usable_exemplars,
 )
-from torchtex.patches import SsdSearch, box_sums, pick_soft, ssd_canvas, ssd_search, summed_area
+from torchtex.patches import SsdSearch, box_sums, ssd_canvas, ssd_search, summed_area
+from torchtex.picks import pick_soft
 from torchtex.quadratic import threads
 from torchtex.recipes.montage import Montage, Stage
 from torchtex.sources import copied

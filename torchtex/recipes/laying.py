@@ -10,7 +10,8 @@ from torch import Tensor
 
 from torchtex.cuts.mincut import MinCut
 from torchtex.cuts.seams import cut_patch, patch_views
-from torchtex.patches import box_sums, pick, summed_area
+from torchtex.patches import box_sums, summed_area
+from torchtex.picks import pick
 from torchtex.recipes.patch_finders import Finder
 from torchtex.sources import pixel_places
 

@@ -28,7 +28,8 @@ from torchtex.inputs import (
 )
 from torchtex.label_spaces import LabelSpace
 from torchtex.layouts import Layout, costs_of_places, layout_of, places_of
-from torchtex.patches import SsdSearch, pick, ssd_search
+from torchtex.patches import SsdSearch, ssd_search
+from torchtex.picks import pick
 from torchtex.quadratic import threads
 from torchtex.recipes.correspondence import Correspondence, blurred_luminance
 from torchtex.recipes.montage import Montage, Stage
