@@ -7,12 +7,12 @@ and 92 pixels, with the exhaustive search, by Fourier transforms and by quadtree
 table 2 of Shen et al. 2010. `energy` is the mean squared difference per known pixel of the patches
 that were found; `search` is the CPU time of the searches alone.
 
-`variants` makes ten designs and ten graph cuts of each exemplar. `swd` is the mean distance of
-every eleventh pair; `offsets` the mean difference, in pixels, of where two of them take a pixel
-from; `bend` that of the directions in which the sources of neighbours lie, which is 0 between
-copies that are only moved; `nn` (of the middle 128 x 128 pixels of two) and `swd_exemplar` (of
-one) compare with the exemplar; `sharp` is the mean step inside completed pixels over that of the
-exemplar.
+`variants` makes ten designs and ten graph cuts of each exemplar, or `--count` of them. `swd` is
+the mean distance of some pairs; `offsets` the mean difference, in pixels, of where two of them take
+a pixel from; `bend` that of the directions in which the sources of neighbours lie, which is 0
+between copies that are only moved; `nn` (of the middle 128 x 128 pixels of two) and `swd_exemplar`
+(of one) compare with the exemplar, `nn_turned` with it and its quarter turns; `sharp` is the mean
+step inside completed pixels over that of the exemplar.
 """
 
 import argparse
@@ -32,8 +32,10 @@ from torchtex.layers.deform import Spread
 from torchtex.layers.segment import segment
 from torchtex.recipes import completion
 from torchtex.recipes.design import design, designs
+from torchtex.recipes.design_parts import Layering
 from torchtex.recipes.graphcut import graphcut
 from torchtex.recipes.layered import Filling, layered
+from torchtex.recipes.mending import Mending
 
 NAMES = (
     "pebbles_mixed", "leaves_green", "flowers_meadow", "strawberries", "olives", "maple_leaves",
@@ -41,6 +43,7 @@ NAMES = (
 )  # fmt: skip
 SEARCHES = ("exhaustive", "fft", "qtp")
 PATCHES = (32, 64, 92)
+UPRIGHT = Layering(mending=Mending(turns=False))
 SIDE, SIZE, LARGE = 128, (256, 256), (360, 360)
 
 
@@ -73,7 +76,7 @@ def table2(photos):
     """One row for each exemplar, patch and search."""
     rows = []
     plain = completion.finder_of
-    for name in list(photos)[:2]:
+    for name in list(photos)[:3]:
         exemplar = crop(photos[name], 144)
         parts = [segment(exemplar, 3)]
         for patch in PATCHES:
@@ -138,6 +141,11 @@ def middle(texture):
     return texture[:, top : top + 128, left : left + 128].contiguous()
 
 
+def turned(exemplar):
+    """The exemplar and its quarter turns, side by side."""
+    return torch.cat([exemplar.rot90(n, (1, 2)) for n in range(4)], 2)
+
+
 def looks(results, exemplar):
     """Variety of a set, and how near it is to the exemplar."""
     pairs = list(combinations(results, 2))
@@ -150,6 +158,7 @@ def looks(results, exemplar):
         "bend": statistics.mean(f[1] for f in fields),
         "diversity": metrics.diversity(textures, exemplar),
         "nn": statistics.mean(metrics.nn(middle(x), exemplar) for x in textures[:2]),
+        "nn_turned": statistics.mean(metrics.nn(middle(x), turned(exemplar)) for x in textures[:2]),
         "swd_exemplar": statistics.mean(metrics.swd(x, exemplar) for x in textures[:1]),
     }
 
@@ -159,27 +168,28 @@ def ways(wanted=("graphcut", "design")):
     made = {
         "graphcut": lambda z, seed: graphcut(z, SIZE, seed=seed),
         "design": lambda z, seed: design(z, SIZE, seed=seed),
+        "design, upright": lambda z, seed: design(z, SIZE, layering=UPRIGHT, seed=seed),
         "design, layers": lambda z, seed: design(z, SIZE, enlarge="layers", seed=seed),
     }
     return {way: made[way] for way in wanted}
 
 
-def variants(photos, pictures, each, wanted):
+def variants(photos, pictures, each, wanted, count):
     """One row for each exemplar and way; the first pictures are kept for the sheets."""
     rows = []
     for name, photo in photos.items():
         exemplar = crop(photo, SIDE)
         for way, make in ways(wanted).items():
             begun = time.process_time()
-            results = [make(exemplar, seed) for seed in range(10)]
-            row = {"exemplar": name, "way": way, "cpu": (time.process_time() - begun) / 10}
+            results = [make(exemplar, seed) for seed in range(count)]
+            row = {"exemplar": name, "way": way, "cpu": (time.process_time() - begun) / count}
             for number, one in enumerate(results[:5]):
                 save(one.texture, pictures / f"{name}-{way.replace(', ', '-')}-{number}.png")
             rows.append(row | looks(results, exemplar) | sharpness(exemplar, way))
             print({k: round(v, 3) if isinstance(v, float) else v for k, v in rows[-1].items()},
                   flush=True)  # fmt: skip
-        each({"summary": summed(rows), "rows": rows})
-    return {"summary": summed(rows), "rows": rows}
+        each({"summary": summed(rows), "rows": rows, "count": count})
+    return {"summary": summed(rows), "rows": rows, "count": count}
 
 
 def summed(rows):
@@ -303,13 +313,15 @@ def table(report):
                     f"{v['search_faster']:.1f} | {v['energy_ratio']:.3f} |"
                 )
     if "variants" in report:
-        keys = ("cpu", "swd", "offsets", "bend", "diversity", "nn", "swd_exemplar",
+        keys = ("cpu", "swd", "offsets", "bend", "diversity", "nn", "nn_turned",
+                "swd_exemplar",
                 "sharp", "swd_ratio", "offsets_ratio", "nn_ratio", "nn_within_20%")  # fmt: skip
         count = len({r["exemplar"] for r in report["variants"]["rows"]})
         lines += [
-            "", "## Ten variants", "",
-            f"256 x 256 pixels from 128, ten seeds, means of {count} exemplars; ratios are medians "
-            "of those to graphcut on the same exemplar; the last column counts exemplars.", "",
+            "", "## Variants", "",
+            f"256 x 256 pixels from 128, {report['variants'].get('count', 10)} seeds, means of "
+            f"{count} exemplars; ratios are medians of those to graphcut on the same exemplar; the "
+            "last column counts exemplars.", "",
             "| way | " + " | ".join(keys) + " |", "|---" * (len(keys) + 1) + "|",
         ]  # fmt: skip
         for way, v in report["variants"]["summary"].items():
@@ -343,8 +355,11 @@ def main():
     parser.add_argument("--sheets", type=Path, metavar="DIR", help="draw sheets of them there")
     parser.add_argument("--docs", type=Path, metavar="JPG", help="draw the bundled exemplars")
     parser.add_argument(
-        "--ways", default="graphcut; design", help="of variants; also design, layers"
+        "--ways",
+        default="graphcut; design; design, upright",
+        help="of variants; also design, layers",
     )
+    parser.add_argument("--count", type=int, default=10, help="variants of each way")
     parser.add_argument("--names", default=",".join(NAMES))
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
@@ -365,7 +380,9 @@ def main():
 
     sections = {
         "table2": lambda: table2(photos),
-        "variants": lambda: variants(photos, options.pictures, keep, options.ways.split("; ")),
+        "variants": lambda: variants(
+            photos, options.pictures, keep, options.ways.split("; "), options.count
+        ),
         "workers": lambda: both_cores(photos),
     }
     about = {"environment": environment(options.threads, "PyMaxflow")}

@@ -88,7 +88,7 @@ def design(
     flip: Flip = 0.0,
     variety: Annotated[
         float, typer.Option(help="How much a design prefers some parts to others; 0: all alike.")
-    ] = 0.4,
+    ] = 0.6,
     upright: Annotated[
         bool, typer.Option("--upright", help="Mend seams with pieces that are not turned.")
     ] = False,

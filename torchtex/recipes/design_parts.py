@@ -69,7 +69,7 @@ class Layering:
     collar: int = 6
     filling: Filling = field(default_factory=Filling)
     mending: Mending = field(default_factory=Mending)
-    variety: float = 0.4
+    variety: float = 0.6
 
     def __post_init__(self) -> None:
         if not 0 <= self.variety <= 10:
