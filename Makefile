@@ -38,7 +38,7 @@ format: $(VENV)/installed-dev  ## Format the code and repair what ruff can
 	$(BIN)/python -m ruff check --fix .
 
 bench: $(VENV)/installed-dev  ## Measure torchtex; see benchmarks/
-	for script in bench cuts search poisson tiles fill flow analogies design marbling skeletal \
+	for script in bench cuts search poisson tiles fill holes flow analogies design marbling skeletal \
 		solids; do \
 		$(BIN)/python benchmarks/$$script.py || exit 1; \
 	done
