@@ -5,10 +5,12 @@
 Sections: `curves`, `quality`, `sheet` and `table`.
 
 `curves` takes CPU seconds of both, at outputs of 128 to 1024 pixels from exemplars of 128, with the
-default windows and with 13 x 13 alone: the curves of fig. 4 of Pan et al. 2009.
+default windows and with 13 x 13 alone: the curves of fig. 4 of Pan et al. 2009. `curves 512` does
+one size.
 
-`quality` compares at 256 pixels: levels, wavelets, phases, seams moved or not, a refinement, and
-the paper's own way, an averaged coarse band under copied details. `blocks` is the mean step
+`quality` compares at 256 pixels: levels, wavelets, phases, seams moved and mended or not, a
+refinement, and the paper's own way, an averaged coarse band under copied details. None of these
+exemplars was looked at when windows and iterations were chosen. `blocks` is the mean step
 across borders of blocks of 2 pixels over that inside them, 1 where no block shows; `sharp` is the
 mean step between neighbors over that of the exemplar.
 
@@ -18,6 +20,7 @@ mean step between neighbors over that of the exemplar.
 import argparse
 import json
 import statistics
+from functools import partial
 
 import torch
 from common import add_arguments, environment, measured, once, photos_of
@@ -25,26 +28,29 @@ from exemplars import BUNDLED, crop, load
 from PIL import Image, ImageDraw, ImageFont
 
 from torchtex import metrics
-from torchtex.recipes import skeleton as skeletal
 from torchtex.recipes.skeleton import refine, skeleton
+from torchtex.recipes.skeleton_blocks import BlockShape
 from torchtex.schedule import Level
 from torchtex.synthesize import synthesize
 from torchtex.wavelets import Coefficients, blocks_at, every_shift, reconstruct
 
 SIDE = 128
 SHOWN = 256
-SIZES = {128: 4, 256: 4, 512: 2, 1024: 1}
-PHOTOS = ("brick_tan", "leaves_green", "pebbles_mixed", "houndstooth_weave", "olives",
-          "moss_ground", "granite_speckled", "parquet")  # fmt: skip
+SIZES = {128: 8, 256: 8, 512: 4, 1024: 4}
+PHOTOS = ("brick_tan", "leaves_green", "pebbles_mixed", "houndstooth_weave", "coffee_beans",
+          "moss_ground", "granite_speckled", "stone_blocks")  # fmt: skip
 THIRTEEN = (Level(0.25, 13, 3), Level(0.5, 13, 4), Level(1.0, 13, 4))
-COARSE_THIRTEEN = (Level(0.5, 13, 3), Level(1.0, 13, 4))
+COARSE_THIRTEEN = (Level(0.5, 13, 3), Level(1.0, 13, 2, complete=True))
 WAYS = {
     "level 1": {},
+    "level 1, not mended": {"mend": False},
     "level 1, seams left": {"cut": "none"},
     "level 1, db2": {"wavelet": "db2"},
     "level 1, 4 phases": {"phases": 2},
     "level 2": {"levels": 2},
+    "level 2, not mended": {"levels": 2, "mend": False},
     "level 3": {"levels": 3},
+    "level 3, not mended": {"levels": 3, "mend": False},
 }
 
 
@@ -70,11 +76,10 @@ def looks(x, exemplar):
 
 def averaged(exemplar, size, seed):
     """The paper's way: an averaged coarse band, and details of the place that weighs most."""
-    shape = skeletal._Shape(size, 1, "haar", 1, "free")
+    shape = BlockShape(size, 1, "haar", 1, "free")
     space = shape.places([exemplar], [None])
     pictures, masks, corners = shape.exemplars([shape.coarse(exemplar)], space)
-    plan = skeletal._plan(shape.coarse(exemplar), shape)
-    made = synthesize(pictures, shape.blocks, masks=masks, schedule=plan, seed=seed)
+    made = synthesize(pictures, shape.blocks, masks=masks, seed=seed)
     places = shape.origins(made.source_map, corners)
     found = blocks_at([every_shift(exemplar, "haar", 1)], places)
     bands = Coefficients(made.texture * shape.side, found.details, found.size, "haar")
@@ -102,29 +107,31 @@ def quality(photos):
                 add("level 1, refined once", done.texture, spent)
         x, spent = once(averaged, z, size, 0)
         add("level 1, band averaged", x, spent)
-        print(name, *(f"{r['way']}: {r['swd']:.3f}" for r in rows[-8:]), sep="  ", flush=True)
+        print(
+            name,
+            *(f"{r['way']}: {r['swd']:.3f}" for r in rows if r["exemplar"] == name),
+            sep="  ",
+            flush=True,
+        )
     return rows
 
 
-def curves(photos):
-    """CPU seconds, and the distance of patches, of both methods."""
+def curves(photos, side):
+    """CPU seconds, and the distance of patches, of both methods at one size."""
     rows = []
     schedules = {"default": (None, None), "13 x 13": (THIRTEEN, COARSE_THIRTEEN)}
-    for side, count in SIZES.items():
-        for name in PHOTOS[:count]:
-            z = crop(photos[name], SIDE)
-            synthesize(z, (64, 64))
-            for windows, (whole, coarse) in schedules.items():
-                row = {"exemplar": name, "size": side, "windows": windows}
-                for way, make, plan in (
-                    ("synth", synthesize, whole),
-                    ("skeleton", skeleton, coarse),
-                ):
-                    made, spent = once(make, z, (side, side), schedule=plan)
-                    row |= {f"{way} cpu": spent["cpu"]}
-                    row |= {f"{way} swd": metrics.swd(made.texture, z)}
-                rows.append(row | {"faster": row["synth cpu"] / row["skeleton cpu"]})
-                print(*rows[-1].items(), flush=True)
+    for name in PHOTOS[: SIZES[side]]:
+        z = crop(photos[name], SIDE)
+        synthesize(z, (64, 64))
+        skeleton(z, (64, 64))
+        for windows, (whole, coarse) in schedules.items():
+            row = {"exemplar": name, "size": side, "windows": windows}
+            for way, make, plan in (("synth", synthesize, whole), ("skeleton", skeleton, coarse)):
+                made, spent = once(make, z, (side, side), schedule=plan)
+                row |= {f"{way} cpu": spent["cpu"]}
+                row |= {f"{way} swd": metrics.swd(made.texture, z)}
+            rows.append(row | {"faster": row["synth cpu"] / row["skeleton cpu"]})
+            print(*rows[-1].items(), flush=True)
     return rows
 
 
@@ -142,7 +149,8 @@ def table(report):
         f"commit {about['commit']}. Written by `benchmarks/skeletal.py`.",
         "",
     ]
-    if "curves" in report:
+    rows = [row for side in SIZES for row in report.get(f"curves {side}", ())]
+    if rows:
         out += [
             "## Time, and distance of patches, at equal output",
             "",
@@ -152,7 +160,7 @@ def table(report):
         ]
         for side in SIZES:
             for windows in ("default", "13 x 13"):
-                some = [r for r in report["curves"] if (r["size"], r["windows"]) == (side, windows)]
+                some = [r for r in rows if (r["size"], r["windows"]) == (side, windows)]
                 if not some:
                     continue
                 m = mean_of(some, ("synth cpu", "skeleton cpu", "synth swd", "skeleton swd"))
@@ -186,7 +194,7 @@ def table(report):
     return "\n".join(out)
 
 
-def sheet(named, columns=("synth", "level 1", "level 1, refined once", "level 2")):
+def sheet(named, columns=("synth", "level 1", "level 2", "level 3")):
     """Each exemplar, and what the ways make of it, pixel for pixel."""
     font, line, gap = ImageFont.load_default(size=14), 22, 8
     width = gap + SIDE + gap + len(columns) * (SHOWN + gap)
@@ -196,13 +204,10 @@ def sheet(named, columns=("synth", "level 1", "level 1, refined once", "level 2"
         draw.text((2 * gap + SIDE + number * (SHOWN + gap), 2), column, "black", font)
     for row, (name, photo) in enumerate(named.items()):
         z, top = crop(photo, SIDE), line + row * (SHOWN + gap)
-        made = skeleton(z, (SHOWN, SHOWN))
-        found = {
-            "synth": synthesize(z, (SHOWN, SHOWN)).texture,
-            "level 1": made.texture,
-            "level 1, refined once": refine(made, z).texture,
-            "level 2": skeleton(z, (SHOWN, SHOWN), levels=2).texture,
-        }
+        found = {"synth": synthesize(z, (SHOWN, SHOWN)).texture}
+        for levels in (1, 2, 3):
+            made = skeleton(z, (SHOWN, SHOWN), levels=levels)
+            found[f"level {levels}"] = made.texture
         page.paste(picture(z), (gap, top))
         draw.text((gap, top + SIDE + 4), name, "black", font)
         for number, column in enumerate(columns):
@@ -230,7 +235,10 @@ def main():
         if options.shown:
             named = {name: photos[name] for name in options.shown.split(",")}
         sheet(named).save(options.sheet, quality=88, optimize=True)
-    sections = {"curves": lambda: curves(photos), "quality": lambda: quality(photos)}
+    sections = {f"curves {side}": partial(curves, photos, side) for side in SIZES}
+    sections["quality"] = partial(quality, photos)
+    if "curves" in wanted:
+        wanted += [f"curves {side}" for side in SIZES]
     about = {"environment": environment(options.threads, "PyMaxflow")}
     file = options.out / "skeletal.json"
     chosen = ",".join(name for name in wanted if name in sections)
