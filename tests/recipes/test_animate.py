@@ -16,6 +16,7 @@ from torchtex.flow.fields import Flow, Given, Scaled, Summed, Uniform
 from torchtex.flow.formulas import Rotation, Sink, Source
 from torchtex.recipes.animate import Motion, animate
 from torchtex.recipes.frames import Frame, load_frame, save_frame, warp_error
+from torchtex.recipes.pieces import OLD
 from torchtex.synthesize import synthesize
 
 STILL = Uniform((0.0, 0.0))
@@ -33,6 +34,12 @@ def test_the_first_frame_is_a_synthesis_of_whole_pixels() -> None:
     assert torch.equal(first.field.apply(stripes(32, 32)), first.texture)
     assert first.number == 0
     assert first.warp_error == 0
+
+
+def test_nothing_of_the_first_frame_is_still_being_faded_in() -> None:
+    first = drawn(STILL, 1, motion=Motion(fade=5))[0]
+    assert torch.equal(first.pieces.before, first.pieces.owner)
+    assert bool((first.pieces.age == OLD).all())
 
 
 def test_without_motion_little_changes() -> None:

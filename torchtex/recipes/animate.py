@@ -5,7 +5,7 @@ Source: Kwatra et al. 2005, section 4.1 and Algorithm 2.
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float
@@ -19,7 +19,7 @@ from torchtex.model import Search
 from torchtex.recipes.frames import Frame, warp_error
 from torchtex.recipes.homecoming import Homecoming, homecoming
 from torchtex.recipes.moving import Canvas, Costs
-from torchtex.recipes.pieces import Pieces, Stock, pieces_of, rendered, stock_of
+from torchtex.recipes.pieces import OLD, Pieces, Stock, pieces_of, rendered, stock_of
 from torchtex.synthesize import synthesize
 
 _BAR = 0.1  # cost of seams from which on a new piece is tried over them
@@ -92,9 +92,8 @@ def animate(
 
     The first frame is a synthesis, cut into pieces of the exemplar. From frame to frame each piece
     moves as a whole, with the exemplar's own orientation and size, as the flow moves its
-    structure. Min-cuts find where pieces that
-    slide over each other meet; new pieces appear where the flow brings in new pixels, and over
-    seams that show.
+    structure. Min-cuts find where pieces that slide over each other meet; new pieces appear where
+    the flow brings in new pixels, and over seams that show.
 
     Memory does not grow with the number of frames.
 
@@ -203,6 +202,10 @@ class _Maker:
             canvas.mend(_least(stock))
             canvas.renew(2 * self.motion.mend if rest else 0, _BAR)
             pieces = canvas.done(0)
+        # shown at once: there was no frame from which they could be faded in
+        pieces = replace(
+            pieces, before=pieces.owner.clone(), age=torch.full_like(pieces.age, OLD)
+        )
         texture, field = rendered(pieces, stock, 0)
         none = torch.zeros(self.size, dtype=torch.bool, device=texture.device)
         seconds = time.perf_counter() - began
