@@ -101,14 +101,8 @@ def fill(
         True
     """
     began = time.perf_counter()
-    _check(
-        image,
-        mask,
-        {"confidence": confidence, "border": border, "detail": detail},
-        offsets,
-        reach,
-        seed,
-    )
+    costs = {"confidence": confidence, "border": border, "detail": detail}
+    _check(image, mask, costs, offsets, reach, seed)
     levels = tuple(_LEVELS if schedule is None else schedule)
     least = min(level.size for level in levels)
     if not len(label_space([(mask.shape[0], mask.shape[1])], least, [~mask])):
@@ -117,42 +111,21 @@ def fill(
             "make the hole smaller or choose a schedule with smaller windows"
         )
     solver = default_solver() if solver is None else solver
+    how = _How(feature, r, confidence, offsets, border, detail, reach, levels, search, solver, seed)
     known = ~mask
     whole = torch.where(known, image.detach(), image[:, known].mean(1)[:, None, None])
     sources = pixel_places(mask.shape, mask.device)
     patches = torch.zeros_like(mask, dtype=torch.long)
-    margin = max(round(level.size / level.scale) for level in levels)
-    boxes = boxes_of(mask, margin)
+    boxes = boxes_of(mask, how.margin)
     areas = [int(mask[box].sum()) for box in boxes]
     for number, box in enumerate(boxes):
-        near, wide = around(box, margin, reach, known, least)
+        near, wide = around(box, how.margin, reach, known, least)
         target = torch.zeros_like(mask)
         target[box] = mask[box]
         before, share = sum(areas[:number]) / sum(areas), areas[number] / sum(areas)
         watch = _Watch(on_step, whole, near, target, before, share)
         hole = Hole(whole[:, wide[0], wide[1]], known[wide], target[wide])
-        laid = [_laid(hole, order, side, solver, seed) for order, side in _LAID]
-        first = hole.image[:, laid[0][..., 0], laid[0][..., 1]]
-        inner = shifted(near, -wide[0].start, -wide[1].start)
-        held = SoftConstraint(hole.image[:, inner[0], inner[1]], known[near].to(whole))
-        result = synthesize(
-            hole.image,
-            (held.target.shape[1], held.target.shape[2]),
-            masks=hole.known,
-            feature=feature,
-            r=r,
-            init=first[:, inner[0], inner[1]],
-            schedule=levels,
-            search=search,
-            estep=Kept(held),
-            controls=[(confidence, held)],
-            seed=seed,
-            on_step=watch.solved,
-        )
-        solved = pixel_places(hole.known.shape, mask.device)
-        solved[inner] = result.source_map[..., 1:]
-        offered = _offered(hole, solved, laid, offsets)
-        places = hole.cut(laid[0], offered, border, detail, solver, watch.cut(3 * len(offered)))
+        places = how.places(hole, shifted(near, -wide[0].start, -wide[1].start), watch)
         filled = hole.pixels(places, poisson=poisson)
         whole[:, wide[0], wide[1]] = torch.where(hole.target, filled, hole.image)
         corner = torch.tensor([wide[0].start, wide[1].start], device=places.device)
@@ -169,22 +142,74 @@ def fill(
     return Montage(whole, field, patches, time.perf_counter() - began, seed, settings)
 
 
-def _laid(hole: Hole, order: Order, side: int, solver: MinCut, seed: int) -> Int[Tensor, "h w 2"]:
-    """Places of a hole that was completed patch by patch."""
-    done = complete(
-        hole.image,
-        hole.target,
-        source=hole.image,
-        source_masks=hole.known,
-        patch=fitting(hole.known, side),
-        order=order,
-        rim=0,
-        fresh=0.0,  # what fits best: cuts choose among many
-        poisson=False,
-        solver=solver,
-        seed=seed,
-    )
-    return done.source_map[..., 1:]
+@dataclass(frozen=True)
+class _How:
+    """Options of `fill`, and what they make of one hole."""
+
+    feature: Feature | None
+    r: float
+    confidence: float
+    offsets: int
+    border: float
+    detail: float
+    reach: int
+    levels: tuple[Level, ...]
+    search: Search | None
+    solver: MinCut
+    seed: int
+
+    @property
+    def margin(self) -> int:
+        """Pixels around a hole that the windows of the solver see."""
+        return max(round(level.size / level.scale) for level in self.levels)
+
+    def places(self, hole: Hole, inner: Box, watch: "_Watch") -> Int[Tensor, "h w 2"]:
+        """Where pixels of a hole come from; the solver works on the inner part around it."""
+        laid = [self._laid(hole, order, side) for order, side in _LAID]
+        offered = _offered(hole, self._solved(hole, inner, laid[0], watch), laid, self.offsets)
+        told = watch.cut(3 * len(offered))
+        return hole.cut(laid[0], offered, self.border, self.detail, self.solver, told)
+
+    def _laid(self, hole: Hole, order: Order, side: int) -> Int[Tensor, "h w 2"]:
+        """Places of a hole that was completed patch by patch."""
+        done = complete(
+            hole.image,
+            hole.target,
+            source=hole.image,
+            source_masks=hole.known,
+            patch=fitting(hole.known, side),
+            order=order,
+            rim=0,
+            fresh=0.0,  # what fits best: cuts choose among many
+            poisson=False,
+            solver=self.solver,
+            seed=self.seed,
+        )
+        return done.source_map[..., 1:]
+
+    def _solved(
+        self, hole: Hole, inner: Box, first: Int[Tensor, "h w 2"], watch: "_Watch"
+    ) -> Int[Tensor, "h w 2"]:
+        """Places of a hole that the EM solver made, begun from others."""
+        begun = hole.image[:, first[..., 0], first[..., 1]][:, inner[0], inner[1]]
+        held = SoftConstraint(hole.image[:, inner[0], inner[1]], hole.known[inner].to(begun))
+        result = synthesize(
+            hole.image,
+            (begun.shape[1], begun.shape[2]),
+            masks=hole.known,
+            feature=self.feature,
+            r=self.r,
+            init=begun,
+            schedule=self.levels,
+            search=self.search,
+            estep=Kept(held),
+            controls=[(self.confidence, held)],
+            seed=self.seed,
+            on_step=watch.solved,
+        )
+        places = pixel_places(hole.known.shape, hole.known.device)
+        places[inner] = result.source_map[..., 1:]
+        return places
 
 
 def _offered(
