@@ -14,7 +14,7 @@ from conftest import noise
 from torch import Tensor
 
 from torchtex import image as images
-from torchtex.video import check_video, frame_name, is_folder, write_video
+from torchtex.video import check_video, frame_name, frame_numbers, is_folder, write_video
 
 needs_ffmpeg = pytest.mark.skipif(
     importlib.util.find_spec("imageio_ffmpeg") is None, reason="imageio_ffmpeg is not installed"
@@ -124,7 +124,46 @@ def test_a_file_is_no_folder(tmp_path: Path) -> None:
         check_video(tmp_path / "frames")
 
 
-@pytest.mark.parametrize("rate", [0.0, -1.0, 1001.0, float("nan")])
+@pytest.mark.parametrize("suffix", [".gif", ".webp", ".apng"])
+@pytest.mark.parametrize("rate", [23.976, 30.0, 49.0, 50.0])
+def test_delays_are_right_on_average(tmp_path: Path, suffix: str, rate: float) -> None:
+    from PIL import Image
+
+    write_video(tmp_path / f"x{suffix}", bars(9), rate=rate)
+    delays = []
+    with Image.open(tmp_path / f"x{suffix}", formats=["GIF", "WEBP", "PNG"]) as film:
+        for number in range(9):
+            film.seek(number)
+            film.load()
+            delays.append(film.info["duration"])
+    unit = 10 if suffix == ".gif" else 1
+    assert abs(sum(delays) - 9000 / rate) <= unit / 2
+    assert max(delays) - min(delays) <= unit
+    assert min(delays) >= 20
+
+
+@pytest.mark.parametrize("rate", [50.1, 60.0, 500.0])
+def test_rates_that_a_gif_cannot_hold(tmp_path: Path, rate: float) -> None:
+    with pytest.raises(ValueError, match=r"rate=.* lower it, or write a \.webp"):
+        write_video(tmp_path / "x.gif", bars(2), rate=rate)
+    assert write_video(tmp_path / "x.webp", bars(2), rate=rate) == 2
+
+
+@pytest.mark.parametrize("name", ["x.gif", "x.webp", "x.apng", "frames"])
+def test_one_frame_is_a_film(tmp_path: Path, name: str) -> None:
+    assert write_video(tmp_path / name, bars(1)) == 1
+
+
+def test_a_longer_film_does_not_stay_in_a_folder(tmp_path: Path) -> None:
+    write_video(tmp_path / "frames", bars(5))
+    (tmp_path / "frames" / "frame_9.png").write_text("not ours")
+    write_video(tmp_path / "frames", bars(2) / 2)
+    assert frame_numbers(tmp_path / "frames") == [0, 1]
+    assert (tmp_path / "frames" / "frame_9.png").exists()
+    assert frame_numbers(tmp_path / "nowhere") == []
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, 0.01, 1001.0, float("nan")])
 def test_rates(tmp_path: Path, rate: float) -> None:
     with pytest.raises(ValueError, match="rate="):
         write_video(tmp_path / "x.gif", bars(2), rate=rate)

@@ -15,6 +15,8 @@ from torchtex.image import atomic_write, check_writable, save
 
 FILMS = (".mp4", ".webm", ".mov", ".mkv")
 MOVING = (".gif", ".webp", ".apng", ".png")
+GIF_RATE = 50.0
+"""Frames per second that a GIF holds: it counts in 10 ms, and viewers slow delays of only 10 ms."""
 CODECS = {".mp4": "libx264", ".mov": "libx264", ".mkv": "libx264", ".webm": "libvpx-vp9"}
 
 
@@ -54,17 +56,28 @@ def check_video(path: str | Path, *, name: str = "output") -> None:
         _ffmpeg(name)
 
 
-def check_rate(rate: float) -> None:
-    """Refuses a number of frames per second that no player shows.
+def check_rate(rate: float, path: str | Path) -> None:
+    """Refuses a number of frames per second that no player shows, or that a GIF cannot hold.
+
+    Args:
+        path: the film.
 
     Raises:
-        ValueError: not above 0, or above 1000.
+        ValueError: not in 0.1..1000, or above `GIF_RATE` for a GIF.
 
     Example:
-        >>> check_rate(25.0)
+        >>> check_rate(60.0, "texture.webp")
+        >>> check_rate(60.0, "texture.gif")
+        Traceback (most recent call last):
+        ValueError: rate=60.0 is more than the 50 frames per second that a GIF shows; lower it, ...
     """
-    if not 0 < rate <= 1000:
-        raise ValueError(f"rate={rate} must be above 0 and at most 1000 frames per second")
+    if not 0.1 <= rate <= 1000:
+        raise ValueError(f"rate={rate} must lie in 0.1..1000 frames per second")
+    if Path(path).suffix.lower() == ".gif" and rate > GIF_RATE:
+        raise ValueError(
+            f"rate={rate} is more than the {GIF_RATE:.0f} frames per second that a GIF shows; "
+            "lower it, or write a .webp, .apng or .mp4"
+        )
 
 
 def is_folder(path: Path) -> bool:
@@ -87,6 +100,21 @@ def frame_name(number: int) -> str:
     return f"frame_{number:05}.png"
 
 
+def frame_numbers(folder: str | Path) -> list[int]:
+    """Numbers of the frames in a folder, in order; none if there is no such folder.
+
+    Example:
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     _ = (Path(folder) / frame_name(7)).write_bytes(b"")
+        ...     frame_numbers(folder)
+        [7]
+    """
+    names = {file.name for file in Path(folder).glob("frame_*.png")}
+    numbers = (int(name[6:-4]) for name in names if name[6:-4].isdecimal())
+    return sorted(number for number in numbers if frame_name(number) in names)
+
+
 def write_video(
     path: str | Path,
     frames: Iterable[Float[Tensor, "c h w"]],
@@ -98,11 +126,13 @@ def write_video(
 
     A film holds one frame at a time in memory, a folder too; a GIF keeps what changes between
     frames until it is closed, an APNG all frames. A file appears under its name once it is whole.
+    From a folder, frames of a longer film that was there before are removed.
 
     Args:
         path: see `check_video`.
         frames: (c, h, w) in [0, 1], grey or RGB, all of one size.
-        rate: frames per second.
+        rate: frames per second; delays are whole hundredths of a second in a GIF and whole
+            milliseconds in other animated pictures, right on average.
 
     Raises:
         ValueError: no frames, frames of several sizes, a rate out of range, or what
@@ -116,7 +146,7 @@ def write_video(
     """
     path = Path(path)
     check_video(path, name=name)
-    check_rate(rate)
+    check_rate(rate, path)
     whole = _alike(frames)
     if is_folder(path):
         path.mkdir(exist_ok=True)
@@ -124,6 +154,9 @@ def write_video(
         for frame in whole:
             save(path / frame_name(count), frame, name=name)
             count += 1
+        for number in frame_numbers(path):
+            if number >= count:
+                (path / frame_name(number)).unlink()
         return count
     with atomic_write(path, name=name) as temporary:
         if path.suffix.lower() in FILMS:
@@ -189,17 +222,19 @@ def _film(path: Path, frames: Iterator[Tensor], rate: float, name: str) -> int:
 def _moving(path: Path, frames: Iterator[Tensor], rate: float) -> int:
     from PIL import Image
 
-    count = 0
+    kind = {".gif": "GIF", ".webp": "WEBP", ".apng": "PNG", ".png": "PNG"}[path.suffix.lower()]
+    unit = 10 if kind == "GIF" else 1  # ms
+    delays: list[int] = []  # grows with the frames: Pillow looks up that of a frame once it has it
 
     def pictures() -> Iterator[Any]:
-        nonlocal count
-        for frame in frames:
-            count += 1
+        for number, frame in enumerate(frames):
+            # differences of rounded times, so that roundings do not add up
+            begin, end = (round(1000 / rate / unit * n) for n in (number, number + 1))
+            delays.append(unit * (end - begin))
             yield Image.fromarray(_pixels(frame))
 
     stream = pictures()
     first = next(stream)
-    kind = {".gif": "GIF", ".webp": "WEBP", ".apng": "PNG", ".png": "PNG"}[path.suffix.lower()]
     options: dict[str, Any] = {"quality": 90} if kind == "WEBP" else {}
     with path.open("wb") as file:  # Pillow leaves a file that it opens open after Ctrl-C
         first.save(
@@ -207,11 +242,11 @@ def _moving(path: Path, frames: Iterator[Tensor], rate: float) -> int:
             format=kind,
             save_all=True,
             append_images=list(stream) if kind == "PNG" else stream,  # an APNG is read twice
-            duration=round(1000 / rate),
+            duration=delays,
             loop=0,
             **options,
         )
-    return count
+    return len(delays)
 
 
 def _ffmpeg(name: str) -> Any:

@@ -79,7 +79,7 @@ def animate(
         int, typer.Option(help="Return to the first frame over so many frames at the end.")
     ] = 0,
     boundary: Annotated[str, typer.Option(help="free, or periodic for frames that tile.")] = "free",
-    rate: Annotated[float, typer.Option(help="Frames per second.")] = 25.0,
+    rate: Annotated[float, typer.Option(help="Frames per second; at most 50 in a .gif.")] = 25.0,
     mask: Masks = None,
     compare: Annotated[
         bool,
@@ -223,7 +223,7 @@ class Films:
         from torchtex.video import check_rate, check_video, is_folder
 
         check_video(self.output)
-        check_rate(self.rate)
+        check_rate(self.rate, self.output)
         if is_folder(self.output) and self.compare:
             raise ValueError(
                 f"compare needs a film, and output={str(self.output)!r} is a folder; name a film, "
