@@ -8,10 +8,10 @@ import torch
 from conftest import noise, stripes
 
 from torchtex.flow import pictures
-from torchtex.flow.fields import Uniform
+from torchtex.flow.fields import Flow, Uniform, from_center
 from torchtex.flow.formulas import Rotation, Saddle
 from torchtex.flow.pictures import direction_colors, draw_arrows, flow_picture, lic
-from torchtex.flow.vortices import vortex_pair
+from torchtex.flow.vortices import Vortices, vortex_pair
 from torchtex.quadratic import threads
 
 KINDS: tuple[Literal["lic", "arrows", "both"], ...] = ("lic", "arrows", "both")
@@ -40,6 +40,23 @@ def test_streaks_lie_along_the_flow() -> None:
     assert along < 0.1 * across
     assert float(picture.mean()) == pytest.approx(0.5, abs=0.03)
     assert float(picture.std()) == pytest.approx(0.2, abs=0.03)
+
+
+@pytest.mark.parametrize("flow", [Rotation(8.0), Vortices((4.0,))])
+def test_streaks_of_closed_whirls_are_closed(flow: Flow) -> None:
+    """Slopes of the picture, which lie across streaks, do not lean to a side of the radius."""
+    field = flow(0, 65, 65)
+    offset = from_center((0.5, 0.5), 65, 65)
+    radius = offset.square().sum(0).sqrt()
+    ring = (radius > 6) & (radius < 26)
+    picture = lic(field, length=40.0)
+    turned = offset / radius.clamp(min=1)
+    slope = torch.stack(torch.gradient(picture))
+    tensor = (slope[:, None] * slope[None])[:, :, ring]
+    out, side = turned[:, ring], torch.stack([-turned[1], turned[0]])[:, ring]
+    straight = torch.einsum("in,ijn,jn->", out, tensor, out)
+    skew = torch.einsum("in,ijn,jn->", out, tensor, side)
+    assert abs(float(skew / straight)) < 0.02
 
 
 def test_a_flow_at_rest_has_a_picture_too() -> None:

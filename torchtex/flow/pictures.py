@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchtex.flow.fields import check_fields, from_center
-from torchtex.flow.warps import sample
+from torchtex.flow.warps import invert, sample
 from torchtex.image import check_image, resize
 
 
@@ -24,6 +24,10 @@ def flow_picture(
     generator: torch.Generator | None = None,
 ) -> Float[Tensor, "3 y x"]:
     """A picture of a flow field, `zoom` times its size.
+
+    It shows how pixels move as they pass: the mean of the displacement to the next frame and of
+    that from the frame before. A displacement alone is the chord of a curve and leaves it, so
+    that closed whirls would be spirals.
 
     Args:
         kind: streaks, arrows, or arrows over streaks. An arrow has its middle at its pixel; the
@@ -49,7 +53,7 @@ def flow_picture(
         raise ValueError(f"zoom={zoom} must be at least 1")
     if spacing is not None and spacing < 4:
         raise ValueError(f"spacing={spacing} must be at least 4 pixels, or None")
-    large = _enlarged(field, zoom, periodic)
+    large = _enlarged(_passing(field, periodic), zoom, periodic)
     h, w = large.shape[1:]
     if background is None:
         picture = field.new_full((3, h, w), 0.55 if kind == "arrows" else 0.5)
@@ -62,7 +66,7 @@ def flow_picture(
         tint = direction_colors(large)
         picture = tint if background is None else picture.mean(0, keepdim=True) * 0.5 + tint * 0.5
     if kind != "arrows":
-        picture = _shaded(picture, lic(large, periodic=periodic, generator=generator), large)
+        picture = _shaded(picture, _streaks(large, None, periodic, generator), large)
     if kind != "lic":
         picture = draw_arrows(picture, large, spacing=spacing)
     return picture.contiguous()
@@ -77,14 +81,17 @@ def lic(
 ) -> Float[Tensor, "h w"]:
     """Line integral convolution: noise averaged along the curves of the flow, in [0, 1].
 
-    Every pixel walks a pixel at a time both ways along the direction of the flow (midpoint
-    rule) and averages what it meets under a Hann window. A second pass over the result makes
-    the streaks longer and clearer. Mean 0.5, standard deviation about 0.2.
+    Every pixel walks a pixel at a time both ways along the direction in which pixels pass, see
+    `flow_picture` (midpoint rule), and averages what it meets under a Hann window. A second pass
+    over the result makes the streaks longer and clearer. Mean 0.5, standard deviation about 0.2.
 
     Args:
         length: of the streaks in pixels; None: a 12th of the longer side, at least 10.
         periodic: walks go on at the other side; otherwise they end at the edges.
         generator: of the noise; None: the same noise each time.
+
+    Raises:
+        ValueError: no flow field, or a length below 1.
 
     Source: Cabral and Leedom 1993; Okada and Kao 1997, two passes.
 
@@ -92,21 +99,9 @@ def lic(
         >>> lic(torch.ones(2, 16, 16)).shape
         torch.Size([16, 16])
     """
-    h, w = field.shape[1:]
-    if length is None:
-        length = max(10.0, max(h, w) / 12)
-    if not 1 <= length < math.inf:
+    if length is not None and not 1 <= length < math.inf:
         raise ValueError(f"length={length} must be at least 1 pixel")
-    generator = torch.Generator().manual_seed(0) if generator is None else generator
-    noise = torch.rand(1, h, w, generator=generator, dtype=torch.float64).to(field.device)
-    flow = field.double()
-    speed = flow.square().sum(0).sqrt()
-    # directions shrink where the flow stands still, so that no walk jumps across the middle
-    unit = flow / (speed + 1e-3 * speed.amax() + 1e-12)
-    steps = max(1, round(length / 2))
-    once = _convolved(noise, unit, steps, periodic)
-    twice = _convolved(_contrast(once), unit, steps, periodic)
-    return _contrast(twice)[0].clamp(0, 1).to(field.dtype)
+    return _streaks(_passing(field, periodic), length, periodic, generator)
 
 
 def direction_colors(field: Float[Tensor, "2 h w"]) -> Float[Tensor, "3 h w"]:
@@ -190,6 +185,32 @@ def _distance_to_arrow(off: Float[Tensor, "2 h w"], way: Float[Tensor, "2 h w"])
     reach = ((-back + 0.7 * across) / 1.49 / side.clamp(min=1e-9)).clamp(0, 1) * side
     head = ((back + reach).square() + (across - 0.7 * reach).square()).sqrt()
     return torch.minimum(shaft, head)
+
+
+def _passing(field: Float[Tensor, "2 h w"], periodic: bool) -> Float[Tensor, "2 h w"]:
+    """Velocity of what passes each pixel, halfway between where it comes from and where it goes."""
+    return (field - invert(field, periodic=periodic)[0]) / 2
+
+
+def _streaks(
+    velocity: Float[Tensor, "2 h w"],
+    length: float | None,
+    periodic: bool,
+    generator: torch.Generator | None,
+) -> Float[Tensor, "h w"]:
+    h, w = velocity.shape[1:]
+    if length is None:
+        length = max(10.0, max(h, w) / 12)
+    generator = torch.Generator().manual_seed(0) if generator is None else generator
+    noise = torch.rand(1, h, w, generator=generator, dtype=torch.float64).to(velocity.device)
+    flow = velocity.double()
+    speed = flow.square().sum(0).sqrt()
+    # directions shrink where the flow stands still, so that no walk jumps across the middle
+    unit = flow / (speed + 1e-3 * speed.amax() + 1e-12)
+    steps = max(1, round(length / 2))
+    once = _convolved(noise, unit, steps, periodic)
+    twice = _convolved(_contrast(once), unit, steps, periodic)
+    return _contrast(twice)[0].clamp(0, 1).to(velocity.dtype)
 
 
 def _convolved(
