@@ -126,6 +126,59 @@ def test_bad_arrays_and_folders_get_a_sentence(tmp_path: Path) -> None:
     assert (tmp_path / "other" / "thing.txt").exists()
 
 
+@pytest.mark.parametrize("name", ["stuff", "stuff.zarr"])
+@pytest.mark.parametrize("meta", ["zarr.json", ".zarray"])
+def test_a_folder_with_files_of_others_is_never_replaced(
+    name: str, meta: str, tmp_path: Path
+) -> None:
+    folder = tmp_path / name
+    (folder / "c").mkdir(parents=True)
+    (folder / meta).write_text('{"node_type": "array"}')
+    thesis = folder / ("c" if meta == "zarr.json" else "") / "thesis.tex"
+    thesis.write_text("years")
+    with pytest.raises(ValueError, match="other things"):
+        save_volume(folder, solid())
+    assert thesis.read_text() == "years"
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_zarr_array_is_replaced_and_a_group_is_not(version: int, tmp_path: Path) -> None:
+    zarr = pytest.importorskip("zarr", reason="zarr is not installed")
+    array = {"shape": (4, 4, 4), "chunks": (2, 4, 4), "dtype": "u1", "zarr_format": version}
+    zarr.open_array(str(tmp_path / "one.zarr"), mode="w", **array)[...] = 1
+    (tmp_path / "same").symlink_to(tmp_path / "one.zarr")
+    with pytest.raises(ValueError, match="other things"):
+        save_volume(tmp_path / "same", solid())  # no ending: a folder of slices
+    save_volume(tmp_path / "one.zarr", solid())
+    assert load_volume(tmp_path / "one.zarr").shape == (3, 4, 6, 5)
+    group = zarr.open_group(str(tmp_path / "more.zarr"), mode="w", zarr_format=version)
+    group.create_array("0", shape=(4,), dtype="u1")[...] = 7
+    for path in ("more.zarr", "more.zarr/no.zarr"):
+        (tmp_path / "more.zarr" / "no.zarr").mkdir(exist_ok=True)
+        (tmp_path / "more.zarr" / "no.zarr" / "zarr.json").write_text("no json")
+        with pytest.raises(ValueError, match="other things"):
+            save_volume(tmp_path / path, solid())
+    assert group["0"][:].tolist() == [7] * 4
+
+
+def test_the_old_folder_comes_back_after_an_interrupt(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    save_volume(tmp_path / "slices", solid())
+    before, usual = load_volume(tmp_path / "slices"), Path.rename
+
+    def rename(path: Path, target: Path) -> Path:
+        if target.name == "slices" and not path.name.endswith(".old"):
+            raise KeyboardInterrupt
+        return usual(path, target)
+
+    monkeypatch.setattr(Path, "rename", rename)
+    with pytest.raises(KeyboardInterrupt):
+        save_volume(tmp_path / "slices", 1 - solid())
+    assert torch.equal(load_volume(tmp_path / "slices"), before)
+    assert [path.name for path in tmp_path.iterdir()] == ["slices"]
+
+
 def test_nothing_half_written_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     save_volume(tmp_path / "slices", solid())
     before = load_volume(tmp_path / "slices")
@@ -146,7 +199,7 @@ def test_names_that_cannot_be_written(tmp_path: Path) -> None:
     for path, bits, channels, words in (
         (tmp_path / "v.stl", 8, 3, "must end in"),
         (tmp_path / "v.npy", 12, 3, "bits=12"),
-        (tmp_path / "slices", 32, 3, "pictures hold"),
+        (tmp_path / "slices", 32, 3, r"pictures hold .* name a .npy, .nrrd, .vti or .zarr"),
         (tmp_path / "slices", 8, 7, "pictures hold"),
         (tmp_path / "file", 8, 3, "is a file"),
         (tmp_path / "no" / "v.npy", 8, 3, "no folder"),

@@ -4,6 +4,7 @@ A volume is a (c, d, h, w) tensor in [0, 1]. Files hold it with the channels inn
 do, but for .npy, which holds the tensor as it is.
 """
 
+import json
 import os
 import re
 import shutil
@@ -62,13 +63,16 @@ def check_volume_path(
         channels: of the volume; slices hold 1 or 3.
         name: what an error calls `path`.
 
+    A folder may be replaced only where it holds nothing but slices, or, under a name that ends in
+    .zarr, nothing but one array.
+
     Raises:
         ValueError: in one sentence, what is wrong.
 
     Example:
         >>> check_volume_path("solid.obj")
         Traceback (most recent call last):
-        ValueError: path='solid.obj' must end in .npy, .nrrd, .vti or .zarr, or be a folder
+        ValueError: path='solid.obj' must end in .npy, .nrrd, .vti or .zarr, or have no ending ...
     """
     suffix, where = Path(path).suffix.lower(), f"{name}={str(path)!r}"
     if suffix not in ("", *SUFFIXES):
@@ -81,13 +85,13 @@ def check_volume_path(
     if suffix == "" and (bits == 32 or channels not in (1, 3)):
         raise ValueError(
             f"{where}: pictures hold 8 or 16 bits and 1 or 3 channels, not bits={bits} and "
-            f"{channels} channels; name a .npy, .nrrd or .vti"
+            f"{channels} channels; name a .npy, .nrrd, .vti or .zarr"
         )
     if suffix in (".npy", ".nrrd", ".vti"):
         images.check_writable(path, name=name)
         return
     target = Path(path)
-    if target.is_dir() and not _ours(target):
+    if target.is_dir() and not _ours(target, suffix):
         raise ValueError(f"{where} is a folder that holds other things; name another one")
     if target.is_file():
         raise ValueError(f"{where} is a file; name a folder, or add an ending")
@@ -231,12 +235,27 @@ def _slices(folder: Path, where: str, name: str) -> Tensor:
     return torch.stack(pictures, 1)
 
 
-def _ours(folder: Path) -> bool:
-    """Whether a folder holds nothing but slices or a zarr array, and may be replaced."""
-    found = {entry.name for entry in folder.iterdir()}
-    return all(re.fullmatch(r"slice_\d{4,}\.png", entry) for entry in found) or bool(
-        found & {"zarr.json", ".zarray"}
+def _ours(folder: Path, suffix: str) -> bool:
+    """Whether a folder holds nothing but slices, or nothing but one zarr array under its ending.
+
+    Only then it may be replaced.
+    """
+    found = {entry.relative_to(folder).as_posix() for entry in folder.rglob("*")}
+    if suffix != ".zarr":
+        return all(re.fullmatch(r"slice_\d{4,}\.png", file) for file in found)
+    parts = r"\.zarray|\.zattrs|\d+([./]\d+)*"  # of the second version, and of the third
+    if "zarr.json" in found:
+        parts = r"zarr\.json|c|(c[./])?\d+([./]\d+)*"
+    return all(re.fullmatch(parts, file) for file in found) and (
+        not found or ".zarray" in found or _is_array(folder / "zarr.json")
     )
+
+
+def _is_array(path: Path) -> bool:
+    try:
+        return bool(json.loads(path.read_text())["node_type"] == "array")
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
 
 
 @contextmanager
@@ -252,9 +271,9 @@ def _whole_folder(path: str | os.PathLike[str], name: str) -> Iterator[Path]:
             target.rename(old)
         partial.rename(target)
     except OSError as error:
-        if old.exists() and not target.exists():
-            old.rename(target)
         raise ValueError(f"{name}={str(path)!r} was not written: {error.strerror}") from error
     finally:
+        if old.exists() and not target.exists():  # Ctrl-C too
+            old.rename(target)
         shutil.rmtree(partial, ignore_errors=True)
         shutil.rmtree(old, ignore_errors=True)
