@@ -107,6 +107,10 @@ def test_an_interrupted_run_keeps_what_it_has_and_goes_on(
     assert done.code == 130
     assert load_volume("part.npy").shape == (3, 32, 32, 32)
     assert Path("state.npz").exists()
+    wrong = run(*line, "-o", "rest.npy", "--checkpoint", "state.npz", "--seed", 5)
+    assert wrong.code == 2
+    assert "checkpoint='state.npz' is of a run with seed=0 and this one has seed=5" in wrong.err
+    assert "give the same options, or delete it" in wrong.err
     assert run(*line, "-o", "rest.npy", "--checkpoint", "state.npz").code == 0
     assert torch.equal(load_volume("rest.npy"), load_volume("whole.npy"))
     assert not Path("state.npz").exists()
@@ -129,6 +133,8 @@ def test_an_interrupted_run_keeps_what_it_has_and_goes_on(
         ("map: 2 given", ("z.png", "--size", "16x16x16", "-o", "v.npy", *["--map=map.png"] * 2)),
         ("size of the", ("z.png", "--size", "16x16x16", "-o", "v.npy", "--map", "small.png")),
         ("steps=2", ("z.png", "--size=16x16x16", "-o=v.npy", "--method=skeletal", "--steps=2")),
+        ("octaves=2 belongs", ("z.png", "--size=16x16x16", "-o=v.npy", "--octaves=2")),
+        ("refine=2 belongs", ("z.png", "--size=16x16x16", "-o=v.npy", "--refine=2")),
         ("octaves=5", ("z.png", "--size=16x16x16", "-o=v.npy", "--method=skeletal", "--octaves=5")),
         ("feature='sift'", ("z.png", "--size=16x16x16", "-o=v.npy", "--feature=sift")),
         ("tiled='9'", ("z.png", "--size=16x16x16", "-o=v.npy", "--tiled=9")),
@@ -137,12 +143,25 @@ def test_an_interrupted_run_keeps_what_it_has_and_goes_on(
         ("r=3", ("z.png", "--size", "16x16x16", "-o", "v.npy", "--r", "3")),
         ("seed=-1", ("z.png", "--size", "16x16x16", "-o", "v.npy", "--seed", "-1")),
         ("overwrite", ("z.png", "--size", "16x16x16", "-o", "v.npy", "--slices", "z.png")),
-        ("not a checkpoint", ("z.png", "--size=16x16x16", "-o=v.npy", "--checkpoint=bad.npz")),
+        (
+            "checkpoint='bad.npz' is not a checkpoint of a solid; delete it",
+            ("z.png", "--size=16x16x16", "-o=v.npy", "--checkpoint=bad.npz"),
+        ),
+        ("slice_0000.png is in it", ("slices/slice_0000.png", "--size=16x16x16", "-o", "slices")),
+        ("slices is in it", ("z.png", "--size=16x16x16", "-o", "slices", "--slices=slices/s.png")),
+        ("report is in it", ("z.png", "--size=16x16x16", "-o", "slices", "--report=slices/r.json")),
+        (
+            "checkpoint is in it",
+            ("z.png", "--size=16x16x16", "-o", "slices", "--checkpoint=slices/c.npz"),
+        ),
     ],
 )
 @pytest.mark.usefixtures("unchecked")
 def test_bad_input_gets_one_sentence(
     run: Run, here: Path, words: str, options: tuple[str, ...]
 ) -> None:
-    Path("bad.npz").write_bytes(b"x")
+    Path("bad.npz").write_text("no checkpoint")
+    Path("slices").mkdir()
+    if options[0].startswith("slices"):
+        Path("slices", "slice_0000.png").write_bytes(Path("z.png").read_bytes())
     refused(run, here, words, "solid", *options, "--quiet")

@@ -91,7 +91,14 @@ def test_a_run_goes_on_with_the_same_bits_and_tells_how_far_it_is() -> None:
     [
         ("octaves=4", 32, 16, {"octaves": 4}),
         ("refine=-1", 32, 16, {"refine": -1}),
-        ("octaves=2", 32, 32, {"octaves": 2}),
+        (
+            "octaves=2 is too many for an exemplar of 33x33, which must be at least 64 pixels a "
+            "side; choose fewer octaves or a larger exemplar",
+            33,
+            32,
+            {"octaves": 2},
+        ),
+        ("31x31, which must be at least 32 pixels a side; choose a larger", 31, 16, {}),
         ("at least 16x16x16", 32, 12, {}),
     ],
 )
@@ -100,3 +107,11 @@ def test_bad_input_gets_a_sentence(
 ) -> None:
     with pytest.raises(ValueError, match=words):
         skeletal_solid(noise(1, side, side), (size, size, size), **options)
+
+
+def test_masks_that_are_too_narrow_for_the_coarse_scale() -> None:
+    mask = torch.zeros(64, 64, dtype=torch.bool)
+    mask[:24, :24] = True
+    words = "octaves=2 is too many for the masks, into one of which no window of 32 pixels fits"
+    with pytest.raises(ValueError, match=words):
+        skeletal_solid(noise(1, 64, 64), (32, 32, 32), octaves=2, masks=mask)

@@ -107,8 +107,10 @@ def test_a_run_goes_on_with_the_same_bits(tmp_path: object) -> None:
     again = small(resume=SolidCheckpoint.load(path))
     assert torch.equal(again.volume, whole.volume)
     assert again.energies == whole.energies
-    with pytest.raises(ValueError, match="resume"):
+    with pytest.raises(ValueError, match=r"checkpoint=.*state.npz' is of a run with seed=0"):
         small(seed=1, resume=SolidCheckpoint.load(path))
+    with pytest.raises(ValueError, match="resume: the checkpoint is of a run with seed=0"):
+        small(seed=1, resume=kept[0])
     with open(path, "wb") as file:
         file.write(b"other")
     with pytest.raises(ValueError, match="not a checkpoint"):

@@ -75,10 +75,16 @@ def solid(
         float, typer.Option(help="How strongly colours that are too frequent lose weight; 0: not.")
     ] = 5.0,
     steps: Annotated[int | None, typer.Option(min=1, help="On every level; kopf alone.")] = None,
-    octaves: Annotated[int, typer.Option(help="Of skeletal: halvings of the coarse solid.")] = 1,
+    octaves: Annotated[
+        int | None,
+        typer.Option(help="Halvings of the coarse solid, 1 unless given; skeletal alone."),
+    ] = None,
     refine: Annotated[
-        int, typer.Option(help="Of skeletal: steps at full scale; 0: none, as in the paper.")
-    ] = 2,
+        int | None,
+        typer.Option(
+            help="Steps at full scale, 2 unless given; 0: none, as in the paper; skeletal alone."
+        ),
+    ] = None,
     tiled: Annotated[
         str | None,
         typer.Option(help="DEPTHxHEIGHTxWIDTH to write, filled with copies of the block."),
@@ -107,8 +113,11 @@ def solid(
     extent, whole = _extent(size), None if tiled is None else _extent(tiled, "tiled")
     choose("feature", feature, FEATURES)
     choose("method", method, ("kopf", "skeletal"))
-    if method == "skeletal" and steps is not None:
-        raise ValueError(f"steps={steps} belongs to method=kopf; leave one of them out")
+    for name, value, of in (
+        ("steps", steps, "kopf"), ("octaves", octaves, "skeletal"), ("refine", refine, "skeletal")
+    ):  # fmt: skip
+        if value is not None and method != of:
+            raise ValueError(f"{name}={value} belongs to method={of}; leave one of them out")
     drawn = map or []
     read = read_files(_different(exemplar), mask or [])
     read |= {name: Path(name) for name in drawn}
@@ -128,7 +137,13 @@ def solid(
         if method == "kopf":
             plan = None if steps is None else solid_schedule(steps)
             return kopf(zs, extent, schedule=plan, **common)
-        made = skeletal_solid(zs, extent, octaves=octaves, refine=refine, **common)
+        made = skeletal_solid(
+            zs,
+            extent,
+            octaves=1 if octaves is None else octaves,
+            refine=2 if refine is None else refine,
+            **common,
+        )
         if not quiet:
             _tell(exemplar, made)
         return made
@@ -176,6 +191,13 @@ class Volumes:
             ),
             read.values(),
         )
+        files = {**read, "slices": self.slices, "report": self.report}
+        for name, path in {**files, "checkpoint": self.checkpoint}.items():
+            if path is not None and self.output.resolve() in path.resolve().parents:
+                raise ValueError(
+                    f"output={str(self.output)!r} is replaced as a whole, and {name} is in it, "
+                    f"{str(path)!r}; choose another folder"
+                )
 
     def write(self, result: "Solid", about: dict[str, Any]) -> None:
         """Writes all of it, the picture of slices with what made it."""

@@ -228,7 +228,7 @@ def shape(name: str, argument: str = "mesh") -> Mesh:
     Example:
         >>> shape("dodo")
         Traceback (most recent call last):
-        ValueError: mesh='dodo' is unknown; choose sphere, torus, vase, cube, or give a mesh
+        ValueError: mesh='dodo' is unknown; choose sphere, torus, vase, cube, cylinder, cone, ...
     """
     if name not in SHAPES:
         raise ValueError(

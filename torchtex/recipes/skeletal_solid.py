@@ -86,7 +86,7 @@ def skeletal_solid(
     factor = 2**octaves
     fine_sides, coarse_sides = _trimmed(sides, factor), _band(_trimmed(sides, factor), octaves)
     small = (-(-size[0] // factor), -(-size[1] // factor), -(-size[2] // factor))
-    levels = _coarse_levels(coarse_sides, small, octaves)
+    levels = _coarse_levels(sides, coarse_sides, small, octaves)
     check_solid(size, len(sides.images[0]), levels[-1].size * factor, seed)
     settings = settings_of("skeletal", sides, size, levels, solving)
     unused = [[n % factor for n in shape] for shape in sides.shapes]
@@ -140,11 +140,25 @@ def _band(sides: Sides, octaves: int) -> Sides:
     )  # fmt: skip
 
 
-def _coarse_levels(sides: Sides, small: tuple[int, int, int], octaves: int) -> list[Level]:
+def _coarse_levels(
+    sides: Sides, coarse: Sides, small: tuple[int, int, int], octaves: int
+) -> list[Level]:
+    """Levels that fit the coarse exemplars; errors are told of those given."""
+    window = COARSE[-1].size << octaves
+    fewer = "choose fewer octaves or" if octaves > 1 else "choose"
+    height, width = min(sides.shapes, key=min)
+    if min(height, width) < 2 * window:
+        raise ValueError(
+            f"octaves={octaves} is too many for an exemplar of {height}x{width}, which must be at "
+            f"least {2 * window} pixels a side; {fewer} a larger exemplar"
+        )
     try:
-        return fitting_levels(sides, small, COARSE)
-    except ValueError as error:
-        raise ValueError(f"octaves={octaves}: at the coarse scale, {error}, or fewer") from None
+        return fitting_levels(coarse, small, COARSE)
+    except ValueError:
+        raise ValueError(
+            f"octaves={octaves} is too many for the masks, into one of which no window of {window} "
+            f"pixels fits; {fewer} wider masks"
+        ) from None
 
 
 def _part(

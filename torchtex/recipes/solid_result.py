@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchtex import image as images
+from torchtex.codecs import reason
 from torchtex.schedule import Level
 from torchtex.sources import UNREADABLE, check_maps
 from torchtex.volumes.files import save_volume
@@ -139,6 +140,7 @@ class SolidCheckpoint:
         traces: one per level that is done.
         pixel: of every voxel, in the table of all exemplars at the scale of the last level.
         axis: of the slice that it came from.
+        file: that it was read from, for errors to name.
     """
 
     seed: int
@@ -147,6 +149,7 @@ class SolidCheckpoint:
     traces: tuple[SolidTrace, ...] = ()
     pixel: Int[Tensor, "d h w"] | None = None
     axis: Int[Tensor, "d h w"] | None = None
+    file: str | None = None
 
     def checked(self, seed: int, settings: Mapping[str, Any]) -> "SolidCheckpoint":
         """This checkpoint, for a run with the given settings.
@@ -159,9 +162,12 @@ class SolidCheckpoint:
         differ = [name for name in theirs if mine.get(name) != theirs[name]]
         if differ or self.pixel is None:
             name = differ[0] if differ else "levels"
+            what, remedy = "resume: the checkpoint", "begin anew"
+            if self.file is not None:
+                what, remedy = f"checkpoint={self.file!r}", "delete it"
             raise ValueError(
-                f"resume: the checkpoint is of a run with {name}={mine.get(name)} and this one "
-                f"has {theirs.get(name)}; give the same options, or begin anew"
+                f"{what} is of a run with {name}={mine.get(name)} and this one has "
+                f"{name}={theirs.get(name)}; give the same options, or {remedy}"
             )
         return self
 
@@ -207,9 +213,12 @@ class SolidCheckpoint:
                 randomness = torch.from_numpy(file["randomness"])
                 pixel = torch.from_numpy(file["pixel"]).long()
                 axis = torch.from_numpy(file["axis"]).long()
-            return SolidCheckpoint(head["seed"], head["settings"], randomness, traces, pixel, axis)
+            return SolidCheckpoint(
+                head["seed"], head["settings"], randomness, traces, pixel, axis, str(path)
+            )
         except UNREADABLE as error:
+            why = f" ({reason(error)})" if isinstance(error, OSError) else ""
             raise ValueError(
-                f"checkpoint={path} is not a checkpoint of a solid ({error}); delete it or name "
+                f"checkpoint={str(path)!r} is not a checkpoint of a solid{why}; delete it or name "
                 "another"
             ) from None
