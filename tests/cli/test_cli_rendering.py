@@ -82,10 +82,17 @@ def test_volumes_and_meshes_are_shown(run: Run, here: Path) -> None:
         ("camera='3' must be", ("tile.png", "--camera", "3")),
         ("elevation=95.0", ("tile.png", "--camera", "3,95")),
         ("light='a,b' must be", ("tile.png", "--light", "a,b")),
+        ("cut=0.3 changes nothing of a texture", ("tile.png", "--cut", "0.3")),
+        ("ground='floor.png' changes nothing of a plane",
+         ("tile.png", "--object", "plane", "--ground", "floor.png")),
+        ("tiles=2.0 changes nothing of a mesh", ("thing.obj", "--tiles", "2")),
+        ("object='cube' changes nothing of a mesh", ("thing.obj", "--object", "cube")),
+        ("shadows=False changes nothing of a volume", ("solid.npy", "--no-shadows")),
+        ("gloss=0.2 changes nothing of a volume", ("solid.npy", "--gloss", "0.2")),
         ("size='12'", ("tile.png", "--size", "12")),
         ("samples=0", ("tile.png", "--samples", "0")),
     ],
-)
+)  # fmt: skip
 def test_bad_input_is_one_sentence(
     run: Run, here: Path, words: str, arguments: tuple[str, ...]
 ) -> None:

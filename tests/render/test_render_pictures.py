@@ -88,6 +88,16 @@ def test_a_wall_from_the_front_shows_its_texture() -> None:
     assert torch.allclose(shown, wanted, atol=5e-3)
 
 
+def test_a_camera_straight_above_sees_its_azimuth_below() -> None:
+    for azimuth in (0.0, 30.0, -100.0):
+        toward = direction(azimuth, 0.0)
+        points = torch.tensor([(0.0, 0.0, 0.0), toward], dtype=torch.float64)
+        x, y, depth = Camera(azimuth, 90.0, 4.0).seen(points, (9, 9)).unbind(1)
+        assert torch.allclose(x / depth, torch.full((2,), 4.0, dtype=torch.float64))
+        assert float(y[0] / depth[0]) == pytest.approx(4.0)
+        assert float(y[1] / depth[1]) > 5
+
+
 def test_lambert_and_the_sky() -> None:
     white = Thing(wall(), torch.ones(1, 4, 4), gloss=0.0)
     for elevation in (0.0, 60.0):
@@ -207,8 +217,10 @@ def test_bad_arguments_get_one_sentence() -> None:
     ):
         with pytest.raises(ValueError, match=words):
             texture_picture(texture, **given)  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="elevation=90"):
-        Camera(0.0, 90.0)
+    with pytest.raises(ValueError, match=r"elevation=90\.5 must lie in -90\.\.90"):
+        Camera(0.0, 90.5)
+    with pytest.raises(ValueError, match="elevation=-91"):
+        Light(0.0, -91.0)
     with pytest.raises(ValueError, match="distance=0"):
         Camera(distance=0.0)
     with pytest.raises(ValueError, match="fov=0"):

@@ -17,7 +17,9 @@ def at(*places: tuple[float, float, float]) -> Tensor:
     return torch.tensor(places, dtype=torch.float64)
 
 
-@pytest.mark.parametrize(("azimuth", "elevation"), [(0.0, 0.0), (70.0, 20.0), (-130.0, -60.0)])
+@pytest.mark.parametrize(
+    ("azimuth", "elevation"), [(0.0, 0.0), (70.0, 20.0), (-130.0, -60.0), (40.0, 90.0)]
+)
 def test_a_ball_shades_what_lies_behind_it(azimuth: float, elevation: float) -> None:
     lamp = Lamp([sphere(24)], azimuth, elevation)
     toward = torch.tensor(direction(azimuth, elevation), dtype=torch.float64)

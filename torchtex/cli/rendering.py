@@ -18,6 +18,13 @@ if TYPE_CHECKING:
     from torchtex.cli.base import Watch
     from torchtex.render.views import Camera, Light
 
+_UNUSED = {
+    "texture": ("cut",),
+    "plane": ("cut", "ground"),
+    "mesh": ("object", "tiles", "normals", "ground", "cut"),
+    "volume": ("object", "tiles", "normals", "ground", "gloss", "shadows"),
+}
+"""Options that change nothing of a picture of each kind."""
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)"
 
 
@@ -91,6 +98,7 @@ def render(
         kind = "volume"
     elif path.suffix.lower() in READ:
         kind = "mesh"
+    _refuse_unused(context, "plane" if kind == "texture" and object == "plane" else kind)
     read = {source: path} if not path.is_dir() else {}
     if kind == "texture" and shape.suffix:
         read[object] = shape
@@ -149,6 +157,15 @@ def render(
     carry_out(
         context, Outputs(output, bits, None, report), read, make, threads=threads, quiet=quiet
     )
+
+
+def _refuse_unused(context: typer.Context, kind: str) -> None:
+    """Refuses what would change nothing."""
+    defaults = {parameter.name: parameter.default for parameter in context.command.params}
+    for name in _UNUSED[kind]:
+        value = context.params[name]
+        if value != defaults[name]:
+            raise ValueError(f"{name}={value!r} changes nothing of a {kind}; leave it out")
 
 
 def _camera(text: str | None, thing: str) -> "Camera | None":

@@ -17,7 +17,8 @@ class Camera:
 
     Args:
         azimuth: degrees around the upright axis; 0 is in front, 90 at the right.
-        elevation: degrees above the level.
+        elevation: degrees above the level; from 90, straight above, the side at the azimuth is
+            the lower one in the picture.
         distance: from the target.
         target: in the middle of the picture.
         fov: degrees that the shorter side of the picture spans.
@@ -37,8 +38,8 @@ class Camera:
     fov: float = 36.0
 
     def __post_init__(self) -> None:
-        if not -90 < self.elevation < 90:
-            raise ValueError(f"elevation={self.elevation} must lie between -90 and 90 degrees")
+        if not -90 <= self.elevation <= 90:
+            raise ValueError(f"elevation={self.elevation} must lie in -90..90 degrees")
         if not 0 < self.distance < math.inf:
             raise ValueError(f"distance={self.distance} must be above 0")
         if not 1 <= self.fov <= 150:
@@ -55,9 +56,8 @@ class Camera:
         """Points as `rasterize` takes them, for a picture of that size."""
         eye = points.new_tensor(self.eye).double()
         ahead = F.normalize(points.new_tensor(self.target).double() - eye, dim=0)
-        right = F.normalize(
-            torch.linalg.cross(ahead, torch.tensor([0.0, 1, 0], device=eye.device).double()), dim=0
-        )
+        turn = math.radians(self.azimuth)  # level, so it is known from straight above too
+        right = ahead.new_tensor([math.cos(turn), 0.0, -math.sin(turn)])
         above = torch.linalg.cross(right, ahead)
         x, y, z = ((points.double() - eye) @ torch.stack([right, above, ahead], 1)).unbind(1)
         scale = min(size) / 2 / math.tan(math.radians(self.fov) / 2)
@@ -88,8 +88,8 @@ class Light:
     sky: float = 0.3
 
     def __post_init__(self) -> None:
-        if not -90 < self.elevation < 90:
-            raise ValueError(f"elevation={self.elevation} must lie between -90 and 90 degrees")
+        if not -90 <= self.elevation <= 90:
+            raise ValueError(f"elevation={self.elevation} must lie in -90..90 degrees")
         for name in ("strength", "sky"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise ValueError(f"{name}={getattr(self, name)} must be at least 0, and finite")
