@@ -77,7 +77,7 @@ def test_options_reach_the_recipe(run: Run, here: Path) -> None:
         ("give one of them", ()),
         ("give one of them", ("--amount", "1", "--map", "half.png")),
         ("map='small.png' has 9x9 pixels", ("--map", "small.png")),
-        ("amount=-1", ("--amount", "-1")),
+        ("amount=-1 must lie in 0..1000", ("--amount", "-1")),
         ("new elements fit", ("--amount", "40")),
         ("mask='small.png'", ("--amount", "2", "--mask", "small.png")),
         ("mask", ("--amount", "2", "--mask", "black.png")),
@@ -94,3 +94,17 @@ def test_bad_input_is_one_sentence(
     run: Run, here: Path, words: str, arguments: tuple[str, ...]
 ) -> None:
     refused(run, here, words, "density", "meadow.png", *arguments, "-o", "x.png", "--quiet")
+
+
+def test_the_preview_shows_what_was_refused(run: Run, here: Path) -> None:
+    row, col = torch.meshgrid(torch.arange(84), torch.arange(80), indexing="ij")
+    between = 0.2 + 0.3 * ((row // 2 + col // 2) % 2)
+    heap = torch.where((row % 28 < 9) & (col % 8 < 7), 0.9, between)[None]
+    images.save("heap.png", heap)
+    images.save("light.png", (heap > 0.8).float())
+    line = ("density", "heap.png", "--amount", 2, "--mask", "light.png", "--preview", "p.png")
+    done = run(*line, "-o", "x.png", "--quiet")
+    assert done.code == 2
+    assert "find them by at, mask or another number of colors" in done.err
+    assert pixels("p.png").shape == (3, 84, 80)
+    assert not Path("x.png").exists()

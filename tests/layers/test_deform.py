@@ -117,5 +117,7 @@ def test_bad_input_is_refused() -> None:
         Spread(rotate=(5.0, -5.0))
     with pytest.raises(ValueError, match="mirror=2"):
         Spread(mirror=2.0)
+    with pytest.raises(ValueError, match=r"8x8 vanished: .* after translate=\(9.0, 0.0\);"):
+        deform(noise(1, 8, 8), Deformation((9.0, 0.0)))
     with pytest.raises(ValueError, match="mask is 3x3"):
         deform(noise(1, 8, 8), Deformation(), mask=torch.ones(3, 3, dtype=torch.bool))

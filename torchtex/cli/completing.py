@@ -76,6 +76,11 @@ def complete(
 
         whole = images.load(exemplar_path(image), alpha=False, name="image").image
         holes = images.load_mask(mask, extent_of(whole), name="mask")
+        if not source and patch > min(extent_of(whole)):  # sources may be larger
+            raise ValueError(
+                f"patch={patch} is larger than the shorter side of the image, "
+                f"{min(extent_of(whole))} pixels; choose a smaller one"
+            )
         loaded = [images.load(exemplar_path(name), name="source") for name in source or []]
         whole, *sources = same_channels([whole, *(item.image for item in loaded)])
         return recipe.complete(

@@ -6,7 +6,7 @@ import typer
 
 from torchtex.cli.base import progress_bar
 from torchtex.cli.layers import numbered
-from torchtex.cli.recipe import Outputs, described, kept_options
+from torchtex.cli.recipe import ASIDE, Outputs, described, kept_options
 
 
 def run_file(
@@ -84,4 +84,6 @@ def _refuse_others(context: typer.Context) -> None:
     ]
     if given:
         option = str(given[0]).replace("_", "-")
+        if given[0] in ASIDE:
+            raise ValueError(f"{option} does not go with --recipe; leave it out")
         raise ValueError(f"{option} is decided by --recipe; write it into the file")

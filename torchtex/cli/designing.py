@@ -166,6 +166,10 @@ def design(
         carry_out(context, outputs, read, lambda watch: made(1, watch)[0], threads=threads,
                   keep_partial=keep_partial, quiet=quiet)  # fmt: skip
         return
+    if keep_partial:
+        raise ValueError(
+            f"keep_partial is for one design and count={count}; leave it out, or make one of them"
+        )
     _several(context, output, count, bits, read, made, threads, quiet,
              (labels, report, seams, patch_map))  # fmt: skip
 

@@ -72,7 +72,8 @@ def density(
     labels: Labels = None,
     report: Report = None,
     preview: Annotated[
-        Path | None, typer.Option(help="Picture of the elements found to write.")
+        Path | None,
+        typer.Option(help="Picture of the elements found to write, also if they are refused."),
     ] = None,
     seams: SeamPicture = None,
     patch_map: PatchPicture = None,
@@ -109,6 +110,8 @@ def density(
             seed=seed,
         )
         found.append(elements.picture(picture))
+        if preview is not None:  # now: it shows why they may be refused
+            images.save(preview, found[0], name="preview")
         below = None
         if ground is not None:
             below = images.load(exemplar_path(ground), alpha=False, name="ground").image

@@ -165,7 +165,7 @@ def deform(
         size: (height, width) of what is made; that of the picture unless given.
 
     Raises:
-        ValueError: no image, or a mask of another size.
+        ValueError: no image, a mask of another size, or nothing of the image is left to see.
 
     Source: Shen et al. 2010, Texture design by energy optimization, stage 1.
 
@@ -183,7 +183,20 @@ def deform(
         )
     steps = [deformations] if isinstance(deformations, Deformation) else list(deformations)
     middle = ((h - 1) / 2, (w - 1) / 2) if pivot is None else pivot
-    return warped(image, composed(steps, middle), (h, w) if size is None else size, mask)
+    made = warped(image, composed(steps, middle), (h, w) if size is None else size, mask)
+    if not bool(made.mask.any()):
+        plain = vars(Deformation())
+        moved = [
+            f"{name}={value}"
+            for step in steps
+            for name, value in vars(step).items()
+            if value != plain[name]
+        ]
+        raise ValueError(
+            f"image of {h}x{w} vanished: nothing of it can be seen after "
+            f"{', '.join(moved) or 'masking'}; move it less or show more of it"
+        )
+    return made
 
 
 def composed(deformations: Sequence[Deformation], pivot: tuple[float, float]) -> Tensor:

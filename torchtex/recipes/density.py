@@ -39,6 +39,7 @@ _BAND = 4  # pixels around a new element where the cut decides
 _LARGEST = 1000.0
 _ROOM = 0.6  # side of the patches that ground must have room for, of a typical element's
 _SPARSE = 0.2  # of the picture that elements cover where all else may be taken for ground
+_OTHERS = "; if other elements are meant, find them by at, mask or another number of colors"
 _PLAIN = 0.75  # mean step from pixel to pixel on a plain ground, of that of the picture
 
 
@@ -202,8 +203,9 @@ def _factor(amount: float | Tensor, size: tuple[int, int]) -> Tensor:
     else:
         factor = torch.full(size, float(amount), dtype=torch.float64)
     if not bool(((factor >= 0) & (factor <= _LARGEST)).all()):
-        shown = float(factor.min()), float(factor.max())
-        raise ValueError(f"amount={shown[0]:g}..{shown[1]:g} must lie in 0..{_LARGEST:g}")
+        least, most = float(factor.min()), float(factor.max())
+        shown = f"{least:g}..{most:g}" if isinstance(amount, Tensor) else f"{amount:g}"
+        raise ValueError(f"amount={shown} must lie in 0..{_LARGEST:g}")
     return factor
 
 
@@ -262,6 +264,7 @@ def _free(elements: Elements, image: Tensor) -> Tensor:
         raise ValueError(
             f"elements cover {100 * elements.cover:.0f} % of the picture and lie close together, "
             "with no ground between them to put in their place; give a picture of the ground"
+            f"{_OTHERS}"
         )
     return free
 
@@ -273,7 +276,7 @@ def _check_room(elements: Elements, image: Tensor) -> None:
         raise ValueError(
             f"amount: elements cover {100 * elements.cover:.0f} % of the picture and lie close "
             "together, with no ground between them for more; ask for at most 1, or give a picture "
-            "of the ground and a size"
+            f"of the ground and a size{_OTHERS}"
         )
 
 

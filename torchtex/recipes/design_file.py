@@ -47,6 +47,8 @@ KNOWN: Mapping[str, Mapping[str, str]] = {
     },
 }  # fmt: skip
 """Stages, and what may be set in each."""
+SIZE = (256, 256)
+"""Rows and columns of large textures, unless set."""
 _CHOICES = {
     "enlarge": ("graphcut", "wavelet"), "method": ("graph", "meanshift"),
     "map": ("logistic", "tent", "henon"), "search": ("exhaustive", "fft", "qtp"),
@@ -200,7 +202,22 @@ class _Reader:
         found = {name: self.value(item, name, kinds[name]) for name, item in items.items()}
         if key.value == "edit" and ("mask" in found) == ("path" in found):
             raise self.error(key, "stage edit needs a mask or a path, one of them")
+        if key.value in ("enlarge", "layers"):
+            self.fitting(key, found)
         return StageEntry(key.value, found, key.start_mark.line + 1)
+
+    def fitting(self, node: Any, found: Settings) -> None:
+        """Refuses, before all work, large textures that cannot be."""
+        count, size = found.get("count", 1), found.get("size", SIZE)
+        if not 1 <= count <= 10000:
+            raise self.error(node, f"count={count} must lie in 1..10000")
+        if min(size) < 1:
+            raise self.error(node, f"size={list(size)} must be at least 1 pixel each")
+        cyclic = found.get("cyclic", 0)
+        if cyclic and not 2 <= cyclic <= min(size):
+            raise self.error(
+                node, f"cyclic={cyclic} must lie in 2..{min(size)}, the shorter side of size"
+            )
 
     def value(self, node: Any, name: str, kind: str) -> Any:
         if kind == "file":

@@ -18,7 +18,7 @@ from torchtex.image import atomic_write, check_image, load, load_mask
 from torchtex.layers.deform import Spread
 from torchtex.layers.plans import Chaos
 from torchtex.recipes.carried import itself, onto
-from torchtex.recipes.design_file import Book, StageEntry
+from torchtex.recipes.design_file import SIZE, Book, StageEntry
 from torchtex.recipes.design_parts import (
     Layering,
     bases_of,
@@ -235,7 +235,7 @@ def _evened(whole: Montage, zs: list[Tensor], settings: Any, periodic: bool) -> 
 
 
 def _size(settings: Any) -> tuple[int, int]:
-    height, width = settings.get("size", (256, 256))
+    height, width = settings.get("size", SIZE)
     return height, width
 
 
