@@ -61,7 +61,7 @@ def test_a_folder_a_report_and_a_picture_of_the_flow(run: Run, here: Path) -> No
     line = (*LINE, "--frames", 3, "--report", "r.json", "--flow-picture", "flow.png")
     assert run(*line, "-o", "frames").code == 0
     assert len(frame_bytes("frames")) == 3
-    assert len(list(Path("frames").iterdir())) == 3  # no state is left
+    assert len(list(Path("frames").iterdir())) == 4  # and the state
     report = json.loads(Path("r.json").read_text())
     assert [line["frame"] for line in report["frames"]] == [0, 1, 2]
     assert report["frames"][1]["warp_error"] > 0
@@ -90,7 +90,72 @@ def test_an_interrupted_folder_goes_on(
     refused(run, here / "parts", "other options", *LINE, "--frames", 5, "--hold", 2, "-o", "parts")
     assert run(*LINE, "--frames", 5, "-o", "parts", "--report", "r.json").code == 0
     assert frame_bytes("parts") == frame_bytes("whole")
+    lines = json.loads(Path("r.json").read_text())["frames"]
+    assert [line["frame"] for line in lines] == [0, 1, 2, 3, 4]
+
+
+def test_a_finished_folder_goes_on_or_refuses(run: Run, here: Path) -> None:
+    assert run(*LINE, "--frames", 5, "-o", "whole").code == 0
+    assert run(*LINE, "--frames", 2, "-o", "parts").code == 0
+    for words, options in (
+        ("output='parts' holds frames of other options", ("--frames", 2, "--seed", 5)),
+        ("holds 2 frames and 1 are wanted", ("--frames", 1)),
+        ("holds 2 frames and 1 are wanted", ("--frames", 5, "--preview", 1)),
+    ):
+        refused(run, here / "parts", words, *LINE, *options, "-o", "parts")
+    before = frame_bytes("parts")
+    assert run(*LINE, "--frames", 2, "-o", "parts", "--report", "r.json").code == 0
+    assert frame_bytes("parts") == before
     assert len(json.loads(Path("r.json").read_text())["frames"]) == 2
+    assert run(*LINE, "--frames", 5, "-o", "parts").code == 0
+    assert torch.equal(pixels("parts/frame_00004.png"), pixels("whole/frame_00004.png"))
+    assert len(frame_bytes("parts")) == 5
+    assert run("repeat", "parts", "-o", "again", "--quiet").code == 0
+    assert frame_bytes("again") == frame_bytes("whole")
+
+
+@pytest.mark.parametrize(
+    ("output", "name"), [(("-o", "kept"), "output"), (("-o", "x.gif", "--keep", "kept"), "keep")]
+)
+def test_a_folder_that_is_not_whole(
+    run: Run, here: Path, output: tuple[str, ...], name: str
+) -> None:
+    line = (*LINE, "--frames", 3, *output)
+    assert run(*line).code == 0
+    kept, frame = Path("kept"), Path("kept/frame_00001.png")
+    whole = frame.read_bytes()
+    for path, data, words in (
+        (frame, whole[:100], "frame 1 is damaged; empty the folder to start again"),
+        (frame, None, "frame 1 is missing; empty the folder to start again"),
+        (kept / "state.npz", b"PK", "its state.npz is damaged; empty the folder"),
+        (kept / "state.npz", None, "holds frame 2 without the state"),
+    ):
+        usual = path.read_bytes()
+        path.unlink() if data is None else path.write_bytes(data)
+        refused(run, kept, f"{name}='kept'", *line)
+        refused(run, kept, words, *line)
+        path.write_bytes(usual)
+    (kept / "frame_00004.png").write_bytes(whole)
+    refused(run, kept, "holds frame 4 without the state", *line)
+
+
+def test_a_frame_beyond_the_state_is_made_again(run: Run, here: Path) -> None:
+    """As an interrupt leaves it that comes between a frame and its state."""
+    assert run(*LINE, "--frames", 3, "-o", "whole").code == 0
+    assert run(*LINE, "--frames", 3, "--preview", 2, "-o", "parts").code == 0
+    Path("parts/frame_00002.png").write_bytes(b"")
+    assert run(*LINE, "--frames", 3, "-o", "parts").code == 0
+    assert frame_bytes("parts") == frame_bytes("whole")
+
+
+def test_a_film_of_the_first_of_the_kept_frames(run: Run, here: Path) -> None:
+    line = (*LINE, "--keep", "kept", "--report", "r.json")
+    assert run(*line, "--frames", 2, "-o", "two.gif").code == 0
+    assert run(*line, "--frames", 4, "-o", "four.gif").code == 0
+    assert run(*line, "--frames", 2, "-o", "again.gif").code == 0
+    assert Path("again.gif").read_bytes() == Path("two.gif").read_bytes()
+    assert len(json.loads(Path("r.json").read_text())["frames"]) == 2
+    assert len(frame_bytes("kept")) == 4
 
 
 def test_an_interrupted_film_goes_on_from_what_was_kept(
@@ -156,6 +221,7 @@ def test_frames_that_tile_and_loop(run: Run, here: Path) -> None:
         ("steps=0", "--steps 0"),
         ("solver", "--solver none"),
         ("rate=0", "--rate 0"),
+        ("rate=60.0 is more than the 50", "--rate 60 -o x.gif"),
         ("seed=-1", "--seed=-1"),
         ("size='4'", "--size 4"),
         ("names no flow", "--flow vortx"),
@@ -221,5 +287,4 @@ def test_a_preview_is_gone_on_from(run: Run, here: Path) -> None:
     assert frame_bytes("parts") == frame_bytes("whole")[:2]
     assert run(*line, "-o", "parts").code == 0
     assert frame_bytes("parts") == frame_bytes("whole")
-    assert not (Path("parts") / "state.npz").exists()
     refused(run, here, "preview=0", *line, "--preview", 0, "-o", "x.gif")

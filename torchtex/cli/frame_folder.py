@@ -11,40 +11,98 @@ if TYPE_CHECKING:
     from torchtex.recipes.frames import Frame
 
 STATE = "state.npz"
+_AGAIN = "empty the folder to start again"
 
 
 class FrameFolder:
-    """A folder of frames, and the state that a run goes on from."""
+    """A folder of frames, and the state that a run goes on from; all frames are of one run.
 
-    def __init__(self, folder: Path, about: dict[str, Any], record: dict[str, Any]) -> None:
-        self.folder, self.about = folder, json.dumps(about, sort_keys=True)
+    The state stays when a run is done: more frames may be wanted later, and those that are there
+    are not mixed with others.
+
+    Args:
+        folder: made with the first frame.
+        name: the option that names it, for errors.
+        about: what decides the frames; another run is refused.
+        record: kept in each frame, for `torchtex repeat`.
+    """
+
+    def __init__(
+        self, folder: Path, name: str, about: dict[str, Any], record: dict[str, Any]
+    ) -> None:
+        self.folder, self.where = folder, f"{name}={str(folder)!r}"
+        self.about = json.loads(json.dumps(about))
         self.record = {"torchtex": json.dumps(record, sort_keys=True)}
 
-    def resumed(self) -> "Frame | None":
-        """The last frame that is there, if it is of the same run."""
+    def resumed(self, most: int | None) -> "tuple[Frame | None, list[dict[str, Any]]]":
+        """The last frame that is there, None before the first, and the lines kept with it.
+
+        Args:
+            most: frames that the folder may hold; None for any number.
+
+        Raises:
+            ValueError: frames of another run, or more than `most`, or some are missing.
+        """
+        from torchtex.video import frame_numbers
+
+        frame, lines = self._state()
+        there = frame_numbers(self.folder)
+        last = -1 if frame is None else frame.number
+        # one more may have been written before an interrupt, and is written again
+        if any(number > last + 1 for number in there):
+            raise ValueError(
+                f"{self.where} holds frame {there[-1]} without the state that it belongs to; "
+                "empty it, or name another folder"
+            )
+        missing = sorted({*range(last + 1)} - {*there})
+        if missing:
+            raise ValueError(f"{self.where}: frame {missing[0]} is missing; {_AGAIN}")
+        if most is not None and there and there[-1] >= most:
+            raise ValueError(
+                f"{self.where} holds {there[-1] + 1} frames and {most} are wanted; ask for as "
+                "many, empty it, or name another folder"
+            )
+        return frame, lines
+
+    def _state(self) -> "tuple[Frame | None, list[dict[str, Any]]]":
         from torchtex.recipes.frames import load_frame
 
         path = self.folder / STATE
         if not path.exists():
-            return None
-        frame, about = load_frame(path)
-        if about != self.about:
+            return None, []
+        try:
+            frame, text = load_frame(path)
+            kept = json.loads(text)
+        except ValueError:
+            raise ValueError(f"{self.where}: its {STATE} is damaged; {_AGAIN}") from None
+        if kept.get("about") != self.about:
             raise ValueError(
-                f"output={str(self.folder)!r} holds frames of other options; empty it, or name "
-                "another folder"
+                f"{self.where} holds frames of other options, pictures or of another version; "
+                "empty it, or name another folder"
             )
-        return frame
+        return frame, kept["lines"]
 
     def pictures(self, count: int) -> "Iterator[torch.Tensor]":
-        """The frames before the one to go on from, read back."""
+        """The first frames, read back.
+
+        Raises:
+            ValueError: one is damaged.
+        """
         from torchtex import image as images
         from torchtex.video import frame_name
 
         for number in range(count):
-            yield images.load(self.folder / frame_name(number), name="frame").image
+            try:
+                yield images.load(self.folder / frame_name(number)).image
+            except ValueError:
+                raise ValueError(f"{self.where}: frame {number} is damaged; {_AGAIN}") from None
 
-    def keep(self, frame: "Frame") -> None:
-        """Writes a frame, then the state: a state never names a frame that is not there."""
+    def keep(self, frame: "Frame", lines: list[dict[str, Any]]) -> None:
+        """Writes a frame, then the state: a state never names a frame that is not there.
+
+        Args:
+            lines: what the report says of each frame up to this one.
+        """
         from torchtex import image as images
         from torchtex.recipes.frames import save_frame
         from torchtex.video import frame_name
@@ -52,8 +110,5 @@ class FrameFolder:
         self.folder.mkdir(exist_ok=True)
         path = self.folder / frame_name(frame.number)
         images.save(path, frame.texture, metadata=self.record)
-        save_frame(self.folder / STATE, frame, self.about)
-
-    def done(self) -> None:
-        """Nothing is left to go on from."""
-        (self.folder / STATE).unlink(missing_ok=True)
+        about = json.dumps({"about": self.about, "lines": lines})
+        save_frame(self.folder / STATE, frame, about)

@@ -42,7 +42,9 @@ def animate(
     output: Annotated[
         Path,
         typer.Option(
-            "-o", "--output", help=".mp4, .webm, .mov, .mkv, .gif, .webp, .apng, or a folder."
+            "-o",
+            "--output",
+            help=".mp4, .webm, .mov, .mkv, .gif, .webp, .apng, .png (an APNG), or a folder.",
         ),
     ],
     size: Size,
@@ -106,9 +108,9 @@ def animate(
 ) -> None:
     """Move a texture along a flow, frame by frame; it stays a texture.
 
-    A folder as output, or --keep, goes on where an interrupted run of the same options stopped,
-    or where --preview did. The frames in a folder say how they were made, and so does a report:
-    `torchtex repeat` takes either.
+    A folder as output, or --keep, goes on where a run of the same options stopped: after an
+    interrupt, after --preview, or for more --frames. Its state.npz is what it goes on from. The
+    frames in a folder say how they were made, and so does a report: `torchtex repeat` takes either.
     """
     from torchtex import image as images
     from torchtex.flow.fields import Scaled
@@ -132,14 +134,16 @@ def animate(
     moving = field if flow_scale == 1 else Scaled(field, flow_scale)
     read = read_files(exemplar, mask or [])
     outputs = Films(output, keep, rate, compare, report, flow_picture)
-    folder = output if is_folder(output) else keep
+    into = is_folder(output)
+    folder, called = (output, "output") if into else (keep, "keep")
 
     def make(watch: Watch) -> _Run:
         record = described(context, read, kept_options(context))
         about = record | {"options": _deciding(context)}
         zs, masks = load_exemplars(exemplar, mask or [])
-        store = None if folder is None else FrameFolder(folder, about, record)
-        resume = None if store is None else store.resumed()
+        store = None if folder is None else FrameFolder(folder, called, about, record)
+        resume, lines = (None, []) if store is None else store.resumed(wanted if into else None)
+        lines = lines[:wanted]
         made = animated(
             zs, height_width, moving, frames, masks=masks, motion=motion, boundary=boundary,
             loop=loop, solver=chosen, seed=seed, resume=resume,
@@ -149,7 +153,6 @@ def animate(
 
             first = moving(0, *height_width)
             images.save(flow_picture, drawn(first, periodic=boundary == "periodic"))
-        lines: list[dict[str, Any]] = []
 
         def stream() -> "Iterator[torch.Tensor]":
             if store is not None and resume is not None:
@@ -170,18 +173,17 @@ def animate(
                         }
                     )
                     if store is not None:
-                        store.keep(frame)
+                        store.keep(frame, lines)
                     yield frame.texture
 
         shown = stream()
         if compare:
             shown = _beside(shown, moving, frames, boundary == "periodic")
-        if is_folder(output):
-            count = sum(1 for _ in shown)  # the store has written them
+        if into:
+            for _ in shown:  # the store writes them
+                pass
         else:
-            count = write_video(output, shown, rate=rate)
-        if store is not None and count == frames:
-            store.done()
+            write_video(output, shown, rate=rate)
         return _Run(lines)
 
     carry_out(context, outputs, read, make, threads=threads, quiet=quiet)

@@ -10,7 +10,7 @@ import typer
 
 from torchtex.cli.base import app
 from torchtex.cli.files import check_other, exemplar_path, sha256
-from torchtex.cli.options import KeepPartial, Labels, Output, Quiet, Report, Threads
+from torchtex.cli.options import KeepPartial, Labels, Quiet, Report, Threads
 from torchtex.cli.recipe import command_line
 from torchtex.cli.synth import Recipe, run
 
@@ -21,7 +21,15 @@ def repeat(
         Path,
         typer.Argument(help="A picture that `torchtex` wrote, a report, or a folder of frames."),
     ],
-    output: Output,
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            help="What the command that made RESULT writes: PNG, JPEG or TIFF, a film, a folder, "
+            "a volume or a mesh.",
+        ),
+    ],
     labels: Labels = None,
     report: Report = None,
     threads: Threads = None,
@@ -55,12 +63,14 @@ def repeat(
 
 
 def _record(result: Path) -> str | None:
-    """What a file, or the first frame in a folder, says about how it was made."""
+    """What a file, or the last frame in a folder, says about how it was made."""
     from torchtex import image as images
-    from torchtex.video import frame_name
+    from torchtex.video import frame_name, frame_numbers
 
     if result.suffix.lower() != ".json":
-        picture = result / frame_name(0) if result.is_dir() else result
+        # a run for more frames wrote the last one
+        last = max(frame_numbers(result), default=0)
+        picture = result / frame_name(last) if result.is_dir() else result
         return images.read_metadata(picture, name="result").get("torchtex")
     try:
         return result.read_text(encoding="utf-8")
