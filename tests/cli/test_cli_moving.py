@@ -204,6 +204,14 @@ def test_frames_that_tile_and_loop(run: Run, here: Path) -> None:
     assert len(frame_bytes("frames")) == 4
 
 
+def test_a_note_on_flows_that_are_no_tiles(run: Run, here: Path) -> None:
+    line = [word for word in LINE if word != "--quiet"] + ["--frames", "1", "-o", "x.gif"]
+    note = "note: flow='source:1' is no tile, so motion jumps where tiles meet; write source:1,per"
+    assert run(*line, "--boundary", "periodic").err.startswith(note)
+    for options in ((), ("--boundary", "periodic", "--flow", "source:1,periodic")):
+        assert "note" not in run(*line, *options).err
+
+
 @pytest.mark.parametrize(
     ("words", "options"),
     [

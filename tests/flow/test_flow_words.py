@@ -8,13 +8,13 @@ import torch
 from conftest import noise
 
 from torchtex.flow import words
-from torchtex.flow.fields import Flow, Given, Summed, Uniform
+from torchtex.flow.fields import Flow, Given, Scaled, Summed, Uniform, is_periodic
 from torchtex.flow.files import save_flow
 from torchtex.flow.fluids import DoubleGyre, StableFluid
 from torchtex.flow.formulas import Rotation, Saddle, Shear, Sink, Source, Wave
 from torchtex.flow.strokes import Strokes
 from torchtex.flow.vortices import Vortices, vortex_pair
-from torchtex.flow.words import parse_flow
+from torchtex.flow.words import parse_flow, untiled
 
 
 @pytest.mark.parametrize(
@@ -97,3 +97,54 @@ def test_every_name_of_the_docstring_is_known_and_the_other_way_round() -> None:
 
 def test_examples() -> None:
     assert doctest.testmod(words, extraglobs={"torch": torch}).failed == 0
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "uniform:1,2", "shear", "shear:periodic", "shear:2,90,periodic", "rotation", "vortex",
+        "vortex:periodic", "pair", "pair:periodic", "source", "source:periodic", "sink",
+        "sink:periodic", "saddle", "saddle:periodic", "wave", "wave:1,1,-2", "wave:1,0,1.5", "gyre",
+        "gyre:periodic", "fluid", "fluid:periodic", "strokes:FILE", "strokes:FILE,periodic",
+        "sink+uniform:0,1", "wave+uniform:0,1",
+    ],
+)  # fmt: skip
+def test_periodic_flows_are_those_that_do_not_jump_at_the_edges(text: str, tmp_path: Path) -> None:
+    (tmp_path / "up.json").write_text("[[[0.9, 0.5], [0.1, 0.5]], [[0.2, 0.1], [0.3, 0.9]]]")
+    flow = parse_flow(text.replace("FILE", str(tmp_path / "up.json")))
+    field = flow(7, 48, 64)
+    jumps = []
+    for axis in (1, 2):
+        inside = field.diff(dim=axis).abs().amax()
+        across = (field.select(axis, 0) - field.select(axis, -1)).abs().amax()
+        jumps.append(bool(across > 1.2 * inside + 1e-9))
+    assert is_periodic(flow) is not any(jumps)
+    assert is_periodic(Scaled(flow, 2.0)) is is_periodic(flow)
+
+
+def test_of_given_fields_nobody_knows() -> None:
+    given = Given(torch.ones(2, 4, 5))
+    assert is_periodic(given) is None
+    assert is_periodic(Summed((given, Uniform((0.0, 1.0))))) is None
+    assert is_periodic(Summed((given, Sink()))) is False
+    assert is_periodic(lambda frame, height, width: torch.zeros(2, height, width)) is None
+
+
+@pytest.mark.parametrize(
+    ("text", "remedies"),
+    [
+        ("uniform:1,2+sink:periodic+wave:1,0,2", []),
+        ("sink:periodic=no", []),
+        ("sink", ["write sink:periodic"]),
+        ("sink:1.5+rotation:3", ["write sink:1.5,periodic", "a vortex with periodic turns too"]),
+        ("wave:1,0,1.5", ["give it whole rows and columns"]),
+    ],
+)
+def test_flows_that_are_no_tiles_are_told_with_what_to_write(
+    text: str, remedies: list[str]
+) -> None:
+    found = untiled(text)
+    assert [sentence.partition("; ")[2] for sentence in found] == remedies
+    for remedy in remedies:
+        if remedy.startswith("write "):
+            assert untiled(remedy[6:]) == []

@@ -2,6 +2,7 @@
 
 import contextlib
 import itertools
+import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -114,7 +115,7 @@ def animate(
     """
     from torchtex import image as images
     from torchtex.flow.fields import Scaled
-    from torchtex.flow.words import parse_flow
+    from torchtex.flow.words import parse_flow, untiled
     from torchtex.recipes.animate import Motion
     from torchtex.recipes.animate import animate as animated
     from torchtex.recipes.montage import Stage
@@ -132,6 +133,9 @@ def animate(
     chosen = solver_of(solver)
     field = parse_flow(flow)
     moving = field if flow_scale == 1 else Scaled(field, flow_scale)
+    if boundary == "periodic" and not quiet:
+        for sentence in untiled(flow):
+            print(f"note: {sentence}", file=sys.stderr)
     read = read_files(exemplar, mask or [])
     outputs = Films(output, keep, rate, compare, report, flow_picture)
     into = is_folder(output)

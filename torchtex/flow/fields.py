@@ -26,6 +26,14 @@ class Flow(Protocol):
     def __call__(self, frame: int, height: int, width: int) -> Float[Tensor, "2 h w"]: ...
 
 
+@runtime_checkable
+class Tiling(Protocol):
+    """A flow that says whether its fields are tiles."""
+
+    @property
+    def periodic(self) -> bool: ...
+
+
 @dataclass(frozen=True)
 class Uniform:
     """Every pixel moves alike. Always periodic.
@@ -42,6 +50,11 @@ class Uniform:
 
     def __post_init__(self) -> None:
         check_numbers({"velocity": self.velocity})
+
+    @property
+    def periodic(self) -> bool:
+        """True."""
+        return True
 
     def __call__(self, frame: int, height: int, width: int) -> Float[Tensor, "2 h w"]:
         velocity = torch.tensor(self.velocity, dtype=torch.float64)
@@ -133,6 +146,23 @@ class Summed:
     def __call__(self, frame: int, height: int, width: int) -> Float[Tensor, "2 h w"]:
         fields = [flow(frame, height, width) for flow in self.flows]
         return sum(fields[1:], fields[0])
+
+
+def is_periodic(flow: Flow) -> bool | None:
+    """Whether the fields of a flow are tiles; None where nobody knows, as of `Given`.
+
+    Flows that are no tiles may cancel out, which is not looked at.
+
+    Example:
+        >>> is_periodic(Uniform((0.0, 1.0))), is_periodic(Given(torch.ones(2, 4, 5)))
+        (True, None)
+    """
+    if isinstance(flow, Scaled):
+        return is_periodic(flow.flow)
+    if isinstance(flow, Summed):
+        parts = [is_periodic(part) for part in flow.flows]
+        return False if False in parts else None if None in parts else True
+    return flow.periodic if isinstance(flow, Tiling) else None
 
 
 def check_fields(fields: Tensor, name: str = "fields") -> None:

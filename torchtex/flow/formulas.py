@@ -60,6 +60,11 @@ class Rotation:
     def __post_init__(self) -> None:
         check_numbers({"degrees": self.degrees, "center": self.center})
 
+    @property
+    def periodic(self) -> bool:
+        """False."""
+        return False
+
     def __call__(self, frame: int, height: int, width: int) -> Float[Tensor, "2 h w"]:
         row, column = from_center(self.center, height, width)
         turn = math.radians(self.degrees)
@@ -190,6 +195,11 @@ class Wave:
         check_numbers({"amplitude": self.amplitude, "cycles": self.cycles, "period": self.period})
         if not any(self.cycles):
             raise ValueError("cycles=(0, 0) are no wave; make one of them other than 0")
+
+    @property
+    def periodic(self) -> bool:
+        """Whether whole waves fit into the texture."""
+        return all(float(count).is_integer() for count in self.cycles)
 
     def __call__(self, frame: int, height: int, width: int) -> Float[Tensor, "2 h w"]:
         vector = (self.cycles[0] / height, self.cycles[1] / width)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from torchtex.flow.fields import Flow, Summed, Uniform
+from torchtex.flow.fields import Flow, Summed, Uniform, is_periodic
 from torchtex.flow.files import FLOW_SUFFIXES, load_flow, load_strokes
 from torchtex.flow.fluids import DoubleGyre, StableFluid
 from torchtex.flow.formulas import Rotation, Saddle, Shear, Sink, Source, Wave
@@ -56,9 +56,34 @@ def parse_flow(text: str, *, name: str = "flow") -> Flow:
         Traceback (most recent call last):
         ValueError: flow='vortx:3' names no flow; did you mean vortex?
     """
-    terms = re.split(rf"\+(?=(?:{'|'.join(_BUILDERS)})(?:[:+]|$))", text.strip())
-    flows = tuple(_parse_term(term.strip(), name) for term in terms)
+    flows = tuple(_parse_term(term, name) for term in _terms(text))
     return flows[0] if len(flows) == 1 else Summed(flows)
+
+
+def untiled(text: str, *, name: str = "flow") -> list[str]:
+    """Sentences on the terms of a flow that are no tiles, each with what to write instead.
+
+    Of fields from files nobody knows, and who writes periodic=no knows.
+
+    Raises:
+        ValueError: as `parse_flow`.
+
+    Example:
+        >>> untiled("uniform:0,2+sink:1.5")
+        ["flow='sink:1.5' is no tile, so motion jumps where tiles meet; write sink:1.5,periodic"]
+    """
+    found = []
+    for term in _terms(text):
+        word, _, rest = term.partition(":")
+        if is_periodic(_parse_term(term, name)) is False and "periodic" not in rest:
+            instead = _TILED.get(word, f"write {word}:{rest}{',' * bool(rest)}periodic")
+            found.append(f"{name}={term!r} is no tile, so motion jumps where tiles meet; {instead}")
+    return found
+
+
+def _terms(text: str) -> list[str]:
+    terms = re.split(rf"\+(?=(?:{'|'.join(_BUILDERS)})(?:[:+]|$))", text.strip())
+    return [term.strip() for term in terms]
 
 
 def _parse_term(term: str, name: str) -> Flow:
@@ -209,3 +234,8 @@ _BUILDERS: dict[str, Callable[..., Flow]] = {
     "pair": vortex_pair, "source": _source, "sink": _sink, "saddle": _saddle, "wave": _wave,
     "gyre": DoubleGyre, "fluid": _fluid, "strokes": _strokes, "file": _file,
 }  # fmt: skip
+
+_TILED = {
+    "rotation": "a vortex with periodic turns too",
+    "wave": "give it whole rows and columns",
+}
