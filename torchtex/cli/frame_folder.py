@@ -58,9 +58,10 @@ class FrameFolder:
         if missing:
             raise ValueError(f"{self.where}: frame {missing[0]} is missing; {_AGAIN}")
         if most is not None and there and there[-1] >= most:
+            count = there[-1] + 1
             raise ValueError(
-                f"{self.where} holds {there[-1] + 1} frames and {most} are wanted; ask for as "
-                "many, empty it, or name another folder"
+                f"{self.where} holds {count} frames and {most} are wanted; ask for at least "
+                f"{count}, empty it, or name another folder"
             )
         return frame, lines
 

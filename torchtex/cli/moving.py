@@ -110,8 +110,9 @@ def animate(
     """Move a texture along a flow, frame by frame; it stays a texture.
 
     A folder as output, or --keep, goes on where a run of the same options stopped: after an
-    interrupt, after --preview, or for more --frames. Its state.npz is what it goes on from. The
-    frames in a folder say how they were made, and so does a report: `torchtex repeat` takes either.
+    interrupt, after --preview, or for more --frames. Its state.npz is what it goes on from, and
+    may be deleted in the end. The frames in a folder say how they were made, and so does a report:
+    `torchtex repeat` takes either.
     """
     from torchtex import image as images
     from torchtex.flow.fields import Scaled
