@@ -63,18 +63,23 @@ def test_searches_agree_where_the_best_is_clear(search: Search) -> None:
 def test_the_quick_search_finds_what_is_there_for_any_zone() -> None:
     z = noise(3, 40, 40)
     quick, full = (finder_of(kind, [z, z.flip(1)], [None, None], 12) for kind in ("qtp", "fft"))
+    assert torch.equal(quick.places(), full.places())
+    same = torch.ones(len(full.places()), dtype=z.dtype)
     for seed in range(6):
         zone = noise(3, 3, seed=seed).repeat_interleave(4, 0).repeat_interleave(4, 1) > 0.6
         zone[:4, :4] = True
         template = z.flip(1)[:, 7:19, 20:32] if seed % 2 else z[:, 3:15, 8:20]
-        costs, places = quick(template, zone)
-        wanted, everywhere = full(template, zone)
-        assert places[costs.argmin()].tolist() == everywhere[wanted.argmin()].tolist()
+        costs, found = quick(template, zone, same)
+        wanted, everywhere = full(template, zone, same)
+        assert found[costs.argmin()] == everywhere[wanted.argmin()]
+        best = int(found[costs.argmin()])
+        liked = torch.where(torch.arange(len(same)) == best + 5, 1e-9, same)
+        assert int((quick(template, zone, liked)[1] == best + 5).sum()) == 1
         assert float(costs.min()) == pytest.approx(0.0, abs=1e-12)
     thin = torch.zeros(12, 12, dtype=torch.bool)
     thin[0] = True  # no cell is known whole
-    costs, places = quick(z[:, 3:15, 8:20], thin)
-    assert places[costs.argmin()].tolist() == [0, 3, 8]
+    costs, found = quick(z[:, 3:15, 8:20], thin, same)
+    assert quick.places()[found[costs.argmin()]].tolist() == [0, 3, 8]
 
 
 def test_a_pattern_is_continued() -> None:
@@ -94,12 +99,45 @@ def test_what_was_laid_before_is_laid_less() -> None:
     mask[10:38, 10:46] = True
     most, flat = [], []
     for fresh in (0.0, 4.0):
-        done = complete(image, mask, patch=10, rim=0, fresh=fresh, poisson=False)
+        done = complete(image, mask, patch=10, rim=0, fresh=fresh, detail=0.0, poisson=False)
         places = done.source_map[mask][:, 1:]
         most.append(int(places.unique(dim=0, return_counts=True)[1].max()))
         flat.append(float((places[:, 1] >= 60).double().mean()))
     assert most[1] < most[0]
     assert flat[1] < 0.8 * flat[0]
+
+
+@pytest.mark.parametrize("search", ["exhaustive", "fft", "qtp"])
+@pytest.mark.parametrize("order", ["scan", "confidence"])
+@pytest.mark.parametrize("lively", [True, False])
+def test_a_hole_gets_the_detail_of_its_surroundings(
+    search: Search, order: Order, lively: bool
+) -> None:
+    rough, dull = noise(3, 64, 48), 0.5 + 0.1 * noise(3, 64, 48, seed=2)
+    image = torch.cat([rough, dull] if lively else [dull, rough], 2)
+    mask = torch.zeros(64, 96, dtype=torch.bool)
+    mask[22:42, 14:34] = True
+    steps = []
+    for detail in (0.0, 4.0):
+        done = complete(
+            image, mask, patch=14, order=order, search=search, detail=detail, poisson=False
+        )
+        inner = done.texture[:, 23:41, 15:33]
+        steps.append(
+            float(inner.diff(dim=2).abs().mean() / image[:, :, :48].diff(dim=2).abs().mean())
+        )
+    assert 0.85 < steps[1] < 1.2
+    assert abs(steps[1] - 1) <= abs(steps[0] - 1) + 0.05
+    if lively:
+        assert steps[0] < 0.8 * steps[1]
+
+
+def test_detail_of_nothing_is_no_cost() -> None:
+    image, mask = stripes(40, 40), torch.ones(40, 40, dtype=torch.bool)
+    first = complete(image, mask, source=stripes(), patch=12, detail=0.0)
+    assert torch.equal(complete(image, mask, source=stripes(), patch=12).texture, first.texture)
+    flat, hole = torch.full((1, 40, 40), 0.5), holes("square", (40, 40))
+    assert torch.equal(complete(flat, hole, patch=12).texture, flat)
 
 
 def test_what_the_hole_holds_changes_nothing_and_threads_no_bit() -> None:
@@ -193,6 +231,7 @@ def test_bad_input_is_refused() -> None:
         (mask, {"rim": -1}, "rim=-1"),
         (mask, {"apart": -1}, "apart=-1"),
         (mask, {"fresh": -0.5}, "fresh=-0.5"),
+        (mask, {"detail": -1.0}, "detail=-1"),
         (mask, {"tolerance": -0.1}, "tolerance=-0.1"),
         (mask, {"seed": -1}, "seed=-1"),
         (mask, {"source": stripes(channels=1)}, "source has 1 channels"),

@@ -44,6 +44,7 @@ def complete(
     rim: int = 8,
     apart: int = 0,
     fresh: float = 2.0,
+    detail: float = 2.0,
     poisson: bool = True,
     positions: Float[Tensor, "_ _ 3"] | None = None,
     solver: MinCut | None = None,
@@ -71,6 +72,10 @@ def complete(
             place: a hole would be filled with what was there before.
         fresh: how much dearer a patch is whose pixels were all laid once before: 2 makes it cost
             three times as much. Otherwise what is flat would be laid again and again.
+        detail: how much dearer a patch is that would fill a hole with other than the usual detail:
+            2 makes it cost three times as much where its mean step from pixel to pixel is e times
+            that of the known pixels around, or a part of e. Costs of matches alone prefer what is
+            flat; 0 for those.
         poisson: even out levels along the seams, in the holes and their rim.
         positions: places in the sources that the image is made of, if it is; the field then has
             the sources alone.
@@ -95,7 +100,7 @@ def complete(
         (torch.Size([3, 40, 40]), 0)
     """
     began = time.perf_counter()
-    _check(image, mask, source, patch, order, (tolerance, fresh), (rim, apart), seed)
+    _check(image, mask, source, patch, order, (tolerance, fresh, detail), (rim, apart), seed)
     solver = default_solver() if solver is None else solver
     known = ~mask
     image = torch.where(known, image.detach(), 0)
@@ -118,8 +123,9 @@ def complete(
         views = [known_views(z, k) for z, k in zip(zs, keep, strict=True)]
         canvas = canvas_of(image, known, positions, rim)
         run = Laying(
-            canvas, finder, views, side, tolerance, 0 if own else apart, fresh, solver,
-            torch.Generator().manual_seed(seed), 0 if own or positions is not None else 1,
+            canvas, finder, views, side, tolerance, 0 if own else apart, fresh, detail,
+            solver, torch.Generator().manual_seed(seed),
+            0 if own or positions is not None else 1,
         )  # fmt: skip
         place = run.scanned if order == "scan" else run.surest
         total = int(mask.sum())
@@ -137,7 +143,7 @@ def complete(
     settings = {
         "recipe": "complete", "pixels": total, "patch": side, "order": order,
         "search": search if isinstance(search, str) else repr(search), "tolerance": tolerance,
-        "rim": rim, "apart": apart, "fresh": fresh, "poisson": poisson,
+        "rim": rim, "apart": apart, "fresh": fresh, "detail": detail, "poisson": poisson,
         "solver": type(solver).__name__, "pasted": run.count,
         "energy": run.energy / max(run.compared, 1),
     }  # fmt: skip
@@ -160,7 +166,7 @@ def _whole(positions: Tensor) -> Tensor:
 
 def _check(
     image: Tensor, mask: Tensor, source: Exemplars | None, patch: int, order: str,
-    costs: tuple[float, float], pixels: tuple[int, int], seed: int,
+    costs: tuple[float, float, float], pixels: tuple[int, int], seed: int,
 ) -> None:  # fmt: skip
     if image.ndim != 3 or mask.shape != image.shape[1:]:
         raise ValueError(
@@ -180,6 +186,6 @@ def _check(
     for name, value in zip(("rim", "apart"), pixels, strict=True):
         if value < 0:
             raise ValueError(f"{name}={value} must be at least 0 pixels")
-    for name, cost in zip(("tolerance", "fresh"), costs, strict=True):
+    for name, cost in zip(("tolerance", "fresh", "detail"), costs, strict=True):
         check_not_negative(name, cost)
     check_seed(seed)

@@ -181,6 +181,7 @@ class _How:
             order=order,
             rim=0,
             fresh=0.0,  # what fits best: cuts choose among many
+            detail=0.0,
             poisson=False,
             solver=self.solver,
             seed=self.seed,

@@ -16,6 +16,7 @@ from torchtex.recipes.patch_finders import Finder
 from torchtex.sources import pixel_places
 
 _CONTEXT = 3  # in scan order, the part of a patch's side that lies before the empty pixel
+_SEEN = 1 / 255  # mean steps from pixel to pixel that are less are alike
 
 
 @dataclass
@@ -45,7 +46,7 @@ class Laying:
         finder: costs of patches.
         views: of the sources.
         side: of a patch.
-        tolerance, apart, fresh: see `complete`.
+        tolerance, apart, fresh, detail: see `complete`.
         generator: of what is drawn.
         first: number of the first source.
         count: patches laid; `energy` is what they cost, for `compared` known pixels.
@@ -57,7 +58,7 @@ class Laying:
         >>> known[8:12, 8:12] = False
         >>> canvas = canvas_of(z, known, None, 2)
         >>> run = Laying(canvas, finder_of("fft", [z], [known], 6), [known_views(z, known)], 6,
-        ...              0.0, 0, 0.0, default_solver(), torch.Generator(), 0)
+        ...              0.0, 0, 0.0, 0.0, default_solver(), torch.Generator(), 0)
         >>> run.paste(*run.scanned())
         >>> canvas.empty[8, 8].item(), run.count
         (False, 1)
@@ -70,6 +71,7 @@ class Laying:
     tolerance: float
     apart: int
     fresh: float
+    detail: float
     solver: MinCut
     generator: torch.Generator
     first: int  # number of the first source
@@ -81,6 +83,10 @@ class Laying:
         self.confidence = (~self.canvas.empty).double()
         sizes = [view.shape[2:] for view in self.views]
         self.used = [self.confidence.new_zeros(size) for size in sizes]  # times, of pixels
+        self.steps = [summed_area(_steps(view)) for view in self.views]
+        known = patch_views((~self.canvas.empty)[None].double())[:, 0]
+        around = _steps(self.canvas.views) * known[0], known[0] * known[1:3].sum(0)
+        self.around = [summed_area(x) for x in around]
 
     def scanned(self) -> tuple[int, int]:
         """A window with the first empty pixel in it, a third of it before that pixel."""
@@ -144,15 +150,17 @@ class Laying:
             drawn = torch.randint(len(places), (1,), generator=self.generator, device=device)
             number, row, col = places[int(drawn)].tolist()
             return number, row, col
-        costs, places = self.finder(old, zone)
+        places = self.finder.places()
+        dearer = (self._staleness(places) * self._strangeness(places, ~zone, top, left)).to(old)
+        costs, found = self.finder(old, zone, dearer)
+        places, dearer = places[found], dearer[found]
         if self.apart:
             near = (places[:, 1:] - places.new_tensor([top, left])).abs().amax(1) < self.apart
             same = [v.shape[2:] == self.canvas.empty.shape for v in self.views]
             near &= torch.tensor(same, device=places.device)[places[:, 0]]
             if not bool(near.all()):
                 costs = torch.where(near, torch.inf, costs)
-        ranked = costs if self.fresh == 0 else costs * self._staleness(places).to(costs)
-        best = pick(ranked[None], self.tolerance, self.generator)[1]
+        best = pick((costs * dearer)[None], self.tolerance, self.generator)[1]
         self.energy += float(costs[best])
         self.compared += int(zone.sum())
         number, row, col = places[best].tolist()
@@ -175,11 +183,52 @@ class Laying:
         """
         found = self.confidence.new_ones(len(places))
         for number, used in enumerate(self.used):
-            if bool(used.any()):
+            if self.fresh > 0 and bool(used.any()):
                 own = places[:, 0] == number
                 times = box_sums(summed_area(used), self.side, self.side) / self.side**2
                 found[own] += self.fresh * times[places[own, 1], places[own, 2]]
         return found
+
+    def _strangeness(
+        self, places: Int[Tensor, "n 3"], empty: Bool[Tensor, "h w"], top: int, left: int
+    ) -> Float[Tensor, "n"]:
+        """1 for a patch that fills a window with as much detail as around it, and more for others.
+
+        Where not all can fit, what is flat differs least, so holes would be filled with it.
+        """
+        found = self.confidence.new_ones(len(places))
+        usual = self._usual(top, left)
+        if self.detail == 0 or usual is None:
+            return found
+        rows, cols = (empty.any(axis).nonzero().flatten() for axis in (1, 0))
+        row, col = rows[0], cols[0]
+        height, width = int(rows[-1] - row) + 1, int(cols[-1] - col) + 1
+        for number, table in enumerate(self.steps):
+            own = places[:, 0] == number
+            sums = box_sums(table, height, width)[places[own, 1] + row, places[own, 2] + col]
+            ratio = (sums / (2 * height * width)).clamp(min=_SEEN) / max(usual, _SEEN)
+            found[own] += self.detail * ratio.log().abs()
+        return found
+
+    def _usual(self, top: int, left: int) -> float | None:
+        """Mean step from pixel to pixel that was known around a window, or else anywhere."""
+        sums, counts = self.around
+        (h, w), reach = self.canvas.empty.shape, self.side // 2
+        near = [max(top - reach, 0), min(top + self.side + reach, h),
+                max(left - reach, 0), min(left + self.side + reach, w)]  # fmt: skip
+        for above, below, before, behind in (near, (0, h, 0, w)):
+            step, count = (
+                float(t[below, behind] - t[above, behind] - t[below, before] + t[above, before])
+                for t in (sums, counts)
+            )
+            if count > 0:
+                return step / count
+        return None
+
+
+def _steps(views: Float[Tensor, "5 c h w"]) -> Float[Tensor, "h w"]:
+    """Steps to the right and down of every pixel, in the mean of channels."""
+    return (views[1:3] - views[0]).abs().mean(1).sum(0)
 
 
 def known_views(z: Tensor, usable: Tensor | None) -> Float[Tensor, "5 c h w"]:

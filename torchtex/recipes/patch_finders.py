@@ -20,13 +20,22 @@ Search = Literal["exhaustive", "fft", "qtp"] | Qtp
 
 @runtime_checkable
 class Finder(Protocol):
-    """Costs of places for a template, and the places: source, row and column."""
+    """Costs of places for a template, and their numbers.
+
+    `dearer` is what the cost of every place will be multiplied by. Costs are told without it, but a
+    search that looks at a few places chooses them by it.
+    """
 
     def __call__(
-        self, template: Float[Tensor, "c s s"], zone: Bool[Tensor, "s s"]
-    ) -> tuple[Float[Tensor, "n"], Int[Tensor, "n 3"]]: ...
+        self,
+        template: Float[Tensor, "c s s"],
+        zone: Bool[Tensor, "s s"],
+        dearer: Float[Tensor, "m"],
+    ) -> tuple[Float[Tensor, "n"], Int[Tensor, "n"]]: ...
 
-    def places(self) -> Int[Tensor, "m 3"]: ...
+    def places(self) -> Int[Tensor, "m 3"]:
+        """Source, row and column of all."""
+        ...
 
 
 def finder_of(
@@ -41,8 +50,10 @@ def finder_of(
         >>> z = torch.rand(3, 30, 30)
         >>> zone = torch.ones(16, 16, dtype=torch.bool)
         >>> zone[6:, 6:] = False
-        >>> costs, places = finder_of("qtp", [z], [None], 16)(z[:, 9:25, 5:21], zone)
-        >>> costs.min().item(), places[costs.argmin()].tolist()
+        >>> finder = finder_of("qtp", [z], [None], 16)
+        >>> places = finder.places()
+        >>> costs, found = finder(z[:, 9:25, 5:21], zone, torch.ones(len(places)))
+        >>> costs.min().item(), places[found[costs.argmin()]].tolist()
         (0.0, [0, 9, 5])
     """
     allowed = places_of(zs, masks, side, "patch").positions
@@ -54,8 +65,10 @@ def finder_of(
     if search != "qtp" and not isinstance(search, Qtp):
         raise ValueError(f"search={search!r} is unknown; choose exhaustive, fft or qtp")
     qtp = Qtp((256, 64, 16), axes=None) if search == "qtp" else search
-    used = [number for number in range(len(zs)) if bool((allowed[:, 0] == number).any())]
-    return Quick(fft, [_pyramid(qtp, zs[n], masks[n], n, side) for n in used])
+    counts = torch.bincount(allowed[:, 0], minlength=len(zs)).tolist()
+    starts = [sum(counts[:n]) for n in range(len(zs))]
+    return Quick(fft, [_pyramid(qtp, zs[n], masks[n], starts[n], side)
+                       for n in range(len(zs)) if counts[n]])  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -75,8 +88,11 @@ class Everywhere:
         return self.allowed
 
     def __call__(
-        self, template: Float[Tensor, "c s s"], zone: Bool[Tensor, "s s"]
-    ) -> tuple[Float[Tensor, "n"], Int[Tensor, "n 3"]]:
+        self,
+        template: Float[Tensor, "c s s"],
+        zone: Bool[Tensor, "s s"],
+        dearer: Float[Tensor, "m"],
+    ) -> tuple[Float[Tensor, "n"], Int[Tensor, "n"]]:
         found = []
         for number, z in enumerate(self.exemplars):
             own = self.allowed[self.allowed[:, 0] == number]
@@ -87,7 +103,7 @@ class Everywhere:
             else:
                 costs = z(template[None], zone)[0]
             found.append(costs[own[:, 1], own[:, 2]])
-        return torch.cat(found), self.allowed
+        return torch.cat(found), torch.arange(len(self.allowed), device=self.allowed.device)
 
 
 @dataclass(frozen=True)
@@ -107,11 +123,14 @@ class Quick:
         return self.fft.places()
 
     def __call__(
-        self, template: Float[Tensor, "c s s"], zone: Bool[Tensor, "s s"]
-    ) -> tuple[Float[Tensor, "n"], Int[Tensor, "n 3"]]:
+        self,
+        template: Float[Tensor, "c s s"],
+        zone: Bool[Tensor, "s s"],
+        dearer: Float[Tensor, "m"],
+    ) -> tuple[Float[Tensor, "n"], Int[Tensor, "n"]]:
         if not bool(self.pyramids[0].whole(0, zone).any()):
-            return self.fft(template, zone)
-        found = [pyramid.search(template, zone) for pyramid in self.pyramids]
+            return self.fft(template, zone, dearer)
+        found = [pyramid.search(template, zone, dearer) for pyramid in self.pyramids]
         return torch.cat([f[0] for f in found]), torch.cat([f[1] for f in found])
 
 
@@ -119,7 +138,7 @@ class Quick:
 class _Pyramid:
     """Cells of all places of one source, for a full patch; a zone is a choice of cells."""
 
-    number: int
+    start: int  # number of the first place
     index: QtpIndex
     keys: Float[Tensor, "n d"]  # at the coarsest level
     squares: Float[Tensor, "n d"]
@@ -133,22 +152,24 @@ class _Pyramid:
         inside = table[below, right] - table[row, right] - table[below, col] + table[row, col]
         return inside == height * width
 
-    def search(self, template: Tensor, zone: Tensor) -> tuple[Tensor, Tensor]:
-        """Costs and places of the best few."""
+    def search(self, template: Tensor, zone: Tensor, dearer: Tensor) -> tuple[Tensor, Tensor]:
+        """Costs and numbers of the best few."""
         index, channels = self.index, len(template)
+        dearer = dearer[self.start : self.start + len(index.places)]
         t = torch.where(zone, template - index.mean, 0)[None]
         query, part = self._query(0, t, zone, channels)
-        costs = self.squares @ part - 2 * (self.keys @ (query * part))
+        known = query * part
+        costs = self.squares @ part - 2 * (self.keys @ known) + query @ known
+        costs = costs.clamp(min=0) * dearer
         found = costs.topk(min(index.keep[0], len(costs)), largest=False).indices.sort().values
         for level, count in enumerate((*index.keep[1:], index.keep[-1]), start=1):
             query, part = self._query(level, t, zone, channels)
             chosen = part.nonzero()[:, 0]
             keys = index.levels[level].at(index.places[found])[:, chosen]
             costs = (keys - query[chosen]).square().sum(1)
-            order = costs.sort(stable=True).indices[:count]
+            order = (costs * dearer[found]).sort(stable=True).indices[:count]
             costs, found = costs[order], found[order]
-        places = torch.nn.functional.pad(index.positions[found], (1, 0), value=self.number)
-        return costs, places
+        return costs, self.start + found
 
     def _query(self, level: int, t: Tensor, zone: Tensor, channels: int) -> tuple[Tensor, Tensor]:
         """Cell values of a template, and 1 for those of cells in the zone."""
@@ -156,8 +177,8 @@ class _Pyramid:
         return query, self.whole(level, zone).to(query).repeat(channels)
 
 
-def _pyramid(qtp: Qtp, z: Tensor, mask: Tensor | None, number: int, side: int) -> _Pyramid:
+def _pyramid(qtp: Qtp, z: Tensor, mask: Tensor | None, start: int, side: int) -> _Pyramid:
     full = torch.ones(side, side, dtype=torch.bool, device=z.device)
     index = qtp.fit(z, full, mask)
     keys = index.levels[0].at(index.places)
-    return _Pyramid(number, index, keys, keys.square())
+    return _Pyramid(start, index, keys, keys.square())
