@@ -121,15 +121,16 @@ def test_complete_is_the_recipe_and_can_be_repeated(run: Run, here: Path) -> Non
     repeated(run, "x.png")
     done = run(
         *line, "--source", "noise.png", "--source", "grey.png", "--plain", "--order",
-        "confidence", "--search", "qtp", "-o", "y.png", "--labels", "l.npz", "--seams", "s.png",
-        "--patch-map", "p.png", "--report", "r.json",
+        "confidence", "--search", "qtp", "--detail", 1.5, "-o", "y.png", "--labels", "l.npz",
+        "--seams", "s.png", "--patch-map", "p.png", "--report", "r.json",
     )  # fmt: skip
     assert done.code == 0
     grey = pixels("grey.png").expand(3, -1, -1)
     field = SourceField.load("l.npz")
     shown = field.apply([pixels("dots.png"), pixels("noise.png"), grey])
     assert torch.allclose(pixels("y.png"), shown, atol=0.51 / 255)
-    assert json.loads(Path("r.json").read_text())["settings"]["order"] == "confidence"
+    settings = json.loads(Path("r.json").read_text())["settings"]
+    assert (settings["order"], settings["detail"]) == ("confidence", 1.5)
     assert pixels("s.png").shape == pixels("p.png").shape == (3, *SIZE)
     repeated(run, "y.png")
 

@@ -54,6 +54,9 @@ def complete(
     fresh: Annotated[
         float, typer.Option(help="How much dearer a patch is that was all used once; 2: 3 times.")
     ] = 2.0,
+    detail: Annotated[
+        float, typer.Option(help="How much dearer a patch is with more or less detail than usual.")
+    ] = 2.0,
     plain: Plain = False,
     solver: Solver = None,
     seed: Seed = 0,
@@ -95,6 +98,7 @@ def complete(
             rim=rim,
             apart=apart,
             fresh=fresh,
+            detail=detail,
             poisson=not plain,
             solver=chosen,
             seed=seed,
