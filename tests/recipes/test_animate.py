@@ -230,6 +230,7 @@ def test_options_that_are_refused_at_once(words: str, options: dict[str, object]
         ("hold=nan", {"hold": math.nan}),
         ("follow=-1", {"follow": -1.0}),
         ("repeat=-1", {"repeat": -1.0}),
+        ("balance=-1", {"balance": -1.0}),
         ("mend=-1", {"mend": -1}),
         ("fade=-1", {"fade": -1}),
         ("steps=0", {"steps": 0}),

@@ -144,3 +144,21 @@ def test_the_more_it_is_held_the_closer_to_the_warped_frame() -> None:
     assert gaps[0] > gaps[1] >= gaps[2]
     assert gaps[0] > 1
     assert gaps[2] < 0.1 * gaps[0]
+
+
+def test_parts_that_are_shown_too_often_give_way_to_those_that_are_missing() -> None:
+    stock = stock_of([torch.full((1, 48, 96), 0.5)], None, (48, 48), side=24)  # no seam costs
+    places = torch.cat([torch.zeros(48, 48, 1).long(), pixel_places((48, 48))], 2)
+    places[:, 24:, 2] += 24
+    pieces = pieces_of(places, 48, torch.Generator().manual_seed(0))
+    usual = torch.zeros(48, 96, dtype=torch.float64)
+    usual[:, 48:] = 2.0  # of which only the right half of the frame shows anything
+    left = (pieces.source[:, 1] - pieces.place[:, 1]) == 0
+    shares = []
+    for balance in (0.0, 0.1):
+        canvas = Canvas(pieces, stock, STILL, Costs(balance=balance), usual=[usual])
+        canvas.show()
+        canvas.mend(1)
+        shares.append(float(left[canvas.pieces.owner].double().mean()))
+    assert shares[0] == 0.5
+    assert shares[1] < 0.46

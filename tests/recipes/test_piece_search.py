@@ -3,7 +3,7 @@
 import torch
 from conftest import noise, spots
 
-from torchtex.recipes.piece_search import best_part, use_of
+from torchtex.recipes.piece_search import best_part, excess_of, use_of
 from torchtex.recipes.pieces import pieces_of, stock_of
 from torchtex.sources import pixel_places
 
@@ -14,6 +14,16 @@ def test_the_use_of_a_part_is_counted() -> None:
     (used,) = use_of(pieces_of(places, 32, torch.Generator().manual_seed(0)), stock)
     assert used[:16, :16].min() == used.max() == 9
     assert used[16:].max() == used[:, 16:].max() == 0
+
+
+def test_parts_shown_more_often_than_usual_are_in_excess() -> None:
+    usual = torch.ones(40, 40, dtype=torch.float64)
+    used = usual.clone()
+    used[:, :20], used[:, 20:] = 3.0, 0.0
+    (excess,) = excess_of([used], [usual])
+    assert torch.allclose(excess[:, :14], torch.ones(40, 14, dtype=torch.float64))
+    assert torch.allclose(excess[:, 26:], -torch.ones(40, 14, dtype=torch.float64))
+    assert excess_of([used], [used])[0].abs().max() == 0
 
 
 def test_the_part_that_fits_is_found_in_the_right_exemplar() -> None:

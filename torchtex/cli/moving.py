@@ -64,16 +64,19 @@ def animate(
     hold: Annotated[
         float,
         typer.Option(help="How closely to keep to the warped frame before, against 1 for a seam."),
-    ] = 0.2,
+    ] = 0.1,
     follow: Annotated[
         float, typer.Option(help="Cost of content that moves otherwise than the flow.")
-    ] = 0.03,
+    ] = 0.01,
     repeat: Annotated[
         float, typer.Option(help="How far new content keeps away from what is shown already.")
     ] = 1.0,
+    balance: Annotated[
+        float, typer.Option(help="Cost of content that is shown more often than other content.")
+    ] = 0.02,
     mend: Annotated[
         int, typer.Option(help="New pieces tried per frame, over its worst seams.")
-    ] = 6,
+    ] = 12,
     fade: Annotated[int, typer.Option(help="Frames over which content passes into new.")] = 3,
     steps: Annotated[
         int, typer.Option(help="Steps per pixel; 1 copies whole pixels, and moves less smoothly.")
@@ -129,8 +132,9 @@ def animate(
         raise ValueError(f"preview={preview} must be at least 1")
     wanted = frames if preview is None else min(frames, preview)
     motion = Motion(
-        patch=patch, hold=hold, follow=follow, repeat=repeat, mend=mend, fade=fade, steps=steps
-    )
+        patch=patch, hold=hold, follow=follow, repeat=repeat, balance=balance, mend=mend,
+        fade=fade, steps=steps,
+    )  # fmt: skip
     chosen = solver_of(solver)
     field = parse_flow(flow)
     moving = field if flow_scale == 1 else Scaled(field, flow_scale)

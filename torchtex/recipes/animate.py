@@ -19,6 +19,7 @@ from torchtex.model import Search
 from torchtex.recipes.frames import Frame, warp_error
 from torchtex.recipes.homecoming import Homecoming, homecoming
 from torchtex.recipes.moving import Canvas, Costs
+from torchtex.recipes.piece_search import use_of
 from torchtex.recipes.pieces import OLD, Pieces, Stock, pieces_of, rendered, stock_of
 from torchtex.synthesize import synthesize
 
@@ -40,6 +41,9 @@ class Motion:
             closely and change less, small ones mend more seams and look more like the exemplar.
         follow: cost of a pixel whose piece does not move as the flow does there, per pixel.
         repeat: how far new pieces keep away from parts of the exemplar that are shown already.
+        balance: cost of a pixel from a part of the exemplar that is shown twice as often as in
+            the first frame. Flat parts meet anything without a seam and would crowd out the rest,
+            such as mortar between bricks. What is brought back comes from nowhere.
         mend: how many new pieces are tried in each frame, over its worst seams.
         fade: over so many frames a pixel passes from one piece into another.
         steps: pieces move in steps of one over this many pixels. 1 copies the exemplar's own
@@ -54,17 +58,18 @@ class Motion:
     """
 
     patch: int = 48
-    hold: float = 0.2
-    follow: float = 0.03
+    hold: float = 0.1
+    follow: float = 0.01
     repeat: float = 1.0
-    mend: int = 6
+    balance: float = 0.02
+    mend: int = 12
     fade: int = 3
     steps: int = 4
 
     def __post_init__(self) -> None:
         if self.patch < 4:
             raise ValueError(f"patch={self.patch} must be at least 4")
-        for name in ("hold", "follow", "repeat", "mend"):
+        for name in ("hold", "follow", "repeat", "balance", "mend"):
             check_not_negative(name, float(getattr(self, name)))
         if not 0 <= self.fade < 100:
             raise ValueError(f"fade={self.fade} must lie in 0..99")
@@ -164,7 +169,7 @@ class _Maker:
         if frame is None or self.loop:
             stock, first = self.first()
             if self.loop:
-                home = self.way_home(first.pieces, stock)
+                home = self.way_home(first, stock)
             if frame is None:
                 frame = first
                 if on_frame is not None:
@@ -203,13 +208,13 @@ class _Maker:
             canvas.renew(2 * self.motion.mend if rest else 0, _BAR)
             pieces = canvas.done(0)
         # shown at once: there was no frame from which they could be faded in
-        pieces = replace(
-            pieces, before=pieces.owner.clone(), age=torch.full_like(pieces.age, OLD)
-        )
+        pieces = replace(pieces, before=pieces.owner.clone(), age=torch.full_like(pieces.age, OLD))
         texture, field = rendered(pieces, stock, 0)
         none = torch.zeros(self.size, dtype=torch.bool, device=texture.device)
         seconds = time.perf_counter() - began
-        return stock, Frame(0, texture, field, none.to(texture), 0.0, seconds, pieces, none)
+        usual = tuple(use_of(pieces, stock))
+        made = Frame(0, texture, field, none.to(texture), 0.0, seconds, pieces, none, usual)
+        return stock, made
 
     def fill(self, canvas: Canvas, least: int) -> None:
         """No pixel is left without a piece, and none has one of fewer pixels."""
@@ -219,41 +224,46 @@ class _Maker:
         canvas.cover(_COVERS)
         canvas.grow(anywhere=True)
 
-    def moved(
-        self, pieces: Pieces, flow: Tensor, number: int, stock: Stock, last: Tensor, warped: Tensor
-    ) -> Pieces:
+    def moved(self, last: Frame, flow: Tensor, number: int, stock: Stock, warped: Tensor) -> Pieces:
         """The pieces of the next frame: half of them grow, the other half in the frame after."""
-        costs = Costs(self.motion.follow, self.motion.hold, self.motion.repeat)
-        canvas = Canvas(pieces, stock, flow, costs, self.solver, last=last, wished=warped)
+        motion = self.motion
+        costs = Costs(motion.follow, motion.hold, motion.repeat, motion.balance)
+        canvas = Canvas(
+            last.pieces, stock, flow, costs, self.solver,
+            last=last.texture, wished=warped, usual=last.usual,
+        )  # fmt: skip
         canvas.move()
         self.fill(canvas, _least(stock) // 5)
         canvas.mend(_least(stock), range(number % 2, len(canvas.pieces.which), 2))
-        canvas.renew(self.motion.mend, _BAR)
-        return canvas.done(self.motion.fade)
+        canvas.renew(motion.mend, _BAR)
+        return canvas.done(motion.fade)
 
     def next(self, last: Frame, number: int, stock: Stock, home: "Homecoming | None") -> Frame:
         began = time.perf_counter()
         flow = field_at(self.flow, number - 1, self.size).to(last.texture.device)
         backward, seen = invert(flow.to(last.texture), periodic=self.periodic)
         warped = warp(last.texture, backward, periodic=self.periodic).clamp(0, 1)
-        pieces = self.moved(last.pieces, flow, number, stock, last.texture, warped)
+        pieces = self.moved(last, flow, number, stock, warped)
         shown, at_home = pieces, last.home
         if home is not None and home.left(number) <= self.loop:
             shown, at_home = home.joined(pieces, last.home, backward, number)
         texture, field = rendered(shown, stock, self.motion.fade)
         error = warp_error(texture, warped, seen.to(texture))
         seconds = time.perf_counter() - began
-        return Frame(number, texture, field, seen.to(texture), error, seconds, pieces, at_home)
+        return Frame(
+            number, texture, field, seen.to(texture), error, seconds, pieces, at_home, last.usual
+        )
 
-    def way_home(self, pieces: Pieces, stock: Stock) -> Homecoming:
+    def way_home(self, first: Frame, stock: Stock) -> Homecoming:
         """The pieces of the frames before the first one, had the flow led to it."""
         ways: list[Pieces] = []
         for step in range(1, self.loop + 1):
-            flow = field_at(self.flow, self.frames - step, self.size).to(pieces.place.device)
+            flow = field_at(self.flow, self.frames - step, self.size).to(first.texture.device)
             back = invert(flow, periodic=self.periodic)[0]
-            last = rendered(pieces, stock, self.motion.fade)[0]
-            warped = warp(last, flow, periodic=self.periodic).clamp(0, 1)
-            pieces = self.moved(pieces, back, step, stock, last, warped)
+            shown = rendered(first.pieces, stock, self.motion.fade)[0]
+            warped = warp(shown, flow, periodic=self.periodic).clamp(0, 1)
+            pieces = self.moved(replace(first, texture=shown), back, step, stock, warped)
+            first = replace(first, pieces=pieces)
             ways.append(pieces)
         return homecoming(ways, stock, self.frames, self.solver, self.seed)
 

@@ -32,6 +32,7 @@ class Frame:
         seconds: that it took.
         pieces: that it shows, but for those on the way home in a loop.
         home: (h, w), True for pixels that are on the way home already.
+        usual: for each exemplar, how often the first frame shows its pixels, 1 in the mean.
     """
 
     number: int
@@ -42,6 +43,7 @@ class Frame:
     seconds: float
     pieces: Pieces
     home: Bool[Tensor, "h w"]
+    usual: tuple[Float[Tensor, "_ _"], ...]
 
 
 def save_frame(path: str | Path, frame: Frame, about: str = "") -> None:
@@ -73,6 +75,7 @@ def save_frame(path: str | Path, frame: Frame, about: str = "") -> None:
         "which": pieces.which,
         "source": pieces.source,
         "place": pieces.place,
+        **{f"usual{n}": shown for n, shown in enumerate(frame.usual)},
     }
     stored: dict[str, Any] = {name: array.cpu().numpy() for name, array in arrays.items()}
     with atomic_write(path) as temporary, open(temporary, "wb") as file:
@@ -110,6 +113,7 @@ def load_frame(path: str | Path) -> tuple[Frame, str]:
                 seconds,
                 Pieces(*(read(name) for name in names)),
                 read("home"),
+                tuple(read(f"usual{n}") for n in range(len(shapes))),
             )
             return frame, str(file["about"])
     except UNREADABLE as error_:

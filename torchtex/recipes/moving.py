@@ -7,7 +7,7 @@ that differ from the warped frame before: the soft constraint of the paper.
 Source: Kwatra et al. 2005, section 4.1 (what a frame should be), 2003 (costs of seams).
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -19,7 +19,7 @@ from torchtex.cuts.mincut import MinCut
 from torchtex.cuts.seams import cut_patch, present_seams
 from torchtex.recipes.frame_squares import Spot, fullest, kept, rim_of, spot_of
 from torchtex.recipes.piece_motion import advanced, middles, speeds, within
-from torchtex.recipes.piece_search import best_part, use_of
+from torchtex.recipes.piece_search import best_part, excess_of, use_of
 from torchtex.recipes.pieces import OLD, Pieces, Stock
 from torchtex.sources import pixel_places
 
@@ -38,15 +38,18 @@ class Costs:
         follow: of the difference between a piece's motion and the flow, in pixels, per pixel.
         hold: of the difference to the warped frame before.
         repeat: of parts of the exemplar that a frame shows already, in the search for new pieces.
+        balance: of a pixel from a part that the frame before shows twice as often as usual. What
+            is flat meets anything without a seam, and would crowd out the rest.
 
     Example:
         >>> Costs().hold
-        0.2
+        0.1
     """
 
-    follow: float = 0.03
-    hold: float = 0.2
+    follow: float = 0.01
+    hold: float = 0.1
     repeat: float = 1.0
+    balance: float = 0.02
 
 
 class Canvas:
@@ -60,6 +63,7 @@ class Canvas:
         solver: of the min-cuts.
         last: the frame before; its structure tells how pieces move. Else they move on average.
         wished: that frame, warped. Else what the pieces show after their move is held to.
+        usual: how often parts of exemplars are shown, of `use_of`. Else that does not matter.
 
     Example:
         >>> from torchtex.recipes.pieces import pieces_of, stock_of
@@ -83,12 +87,14 @@ class Canvas:
         *,
         last: Float[Tensor, "c h w"] | None = None,
         wished: Float[Tensor, "c h w"] | None = None,
+        usual: Sequence[Float[Tensor, "_ _"]] | None = None,
     ) -> None:
         self.pieces, self.stock, self.costs, self.solver = pieces, stock, costs, solver
         self.flow = flow.permute(1, 2, 0).double()
         self.here = pixel_places(stock.size, flow.device)
         self.speed = speeds(pieces, self.flow, last)
         self.middle = middles(pieces, stock)
+        self.excess = [] if usual is None else excess_of(use_of(pieces, stock), usual)
         self.bare = pieces.owner < 0  # pixels that no piece of the frame before has come to
         self.wished, self.views, self.prior = wished, torch.empty(0), torch.empty(0)
 
@@ -222,9 +228,9 @@ class Canvas:
             return 0
         spot = pixel_places((box, box), at[0].device)
         units = (spot + torch.tensor(found[1:], device=spot.device)) * stock.steps
-        new = stock.views(torch.full_like(units[..., 0], found[0]), units)
-        speed = self.flow[at][core].mean(0)
-        unary = self._unary(at, old, new, speed)
+        speed, which = self.flow[at][core].mean(0), torch.full_like(units[..., 0], found[0])
+        new = stock.views(which, units)
+        unary = self._unary(at, (old, new), speed, self._often(which, units))
         stays = rim_of(stock, begin, box) & ~holes
         labels = cut_patch(old, new, stays, holes, unary=unary, solver=self.solver)
         if int(labels.sum()) < least:
@@ -241,16 +247,32 @@ class Canvas:
         self._paste(at, labels, len(p.which), new)
         return 1
 
-    def _unary(self, at: Spot, old: Tensor, new: Tensor, speed: Tensor) -> Tensor:
-        """Costs of what does not follow the flow, and of what changes, for old and new pixels."""
+    def _often(self, which: Tensor, units: Tensor) -> Tensor:
+        """How much more often than usual the parts are shown that pixels come from."""
+        found = torch.zeros_like(which, dtype=torch.float64)
+        for number, excess in enumerate(self.excess):
+            limit = units.new_tensor(excess.shape) - 1
+            at = torch.minimum((units // self.stock.steps).clamp(min=0), limit)
+            found = torch.where(which == number, excess[at[..., 0], at[..., 1]], found)
+        return found
+
+    def _unary(
+        self, at: Spot, views: tuple[Tensor, Tensor], speed: Tensor, often: Tensor
+    ) -> Tensor:
+        """Costs of old and new pixels: not following the flow, changing, shown often elsewhere."""
         owner, prior = self.pieces.owner[at].clamp(min=0), self.prior[:, at[0], at[1]]
+        units = self.stock.units(self.pieces, owner, self.here[at])
+        before = self._often(self.pieces.which[owner], units)
         sides = []
-        for view, moves in ((old[0], self.speed[owner]), (new[0], speed)):
+        for view, moves, shown in zip(
+            views, (self.speed[owner], speed), (before, often), strict=True
+        ):
             off = (self.flow[at] - moves).square().sum(-1).sqrt()
-            change = (view - prior).square().sum(0).sqrt()
+            change = (view[0] - prior).square().sum(0).sqrt()
             change = torch.where(self.bare[at], 0, change)
-            sides.append(self.costs.follow * off + self.costs.hold * change)
-        return torch.stack(sides, -1).to(old)
+            costs = self.costs
+            sides.append(costs.follow * off + costs.hold * change + costs.balance * shown)
+        return torch.stack(sides, -1).to(views[0])
 
     def _paste(self, at: Spot, labels: Tensor, number: int, new: Tensor) -> None:
         """Gives pixels to a piece. Those that had another one pass into it over some frames."""
@@ -285,8 +307,10 @@ class Canvas:
         can = near & self._able(one, here)
         if not bool((can & ~own).any()):
             return
-        old, new = self.views[:, :, at[0], at[1]], self._seen(one, here)
-        unary = self._unary(at, old, new, self.speed[number])
+        units = stock.units(self.pieces, one, here)
+        old, new = self.views[:, :, at[0], at[1]], stock.views(self.pieces.which[one], units)
+        often = self._often(self.pieces.which[one], units)
+        unary = self._unary(at, (old, new), self.speed[number], often)
         labels = cut_patch(old, new, ~can & ~own, own, unary=unary, solver=self.solver)
         if bool((labels & ~own).any()):
             self._paste(at, labels, number, new)

@@ -1,6 +1,7 @@
 """Search for the part of an exemplar that a new piece shows."""
 
 import math
+from collections.abc import Sequence
 
 import torch
 import torch.nn.functional as F
@@ -9,6 +10,8 @@ from torch import Tensor
 
 from torchtex.recipes.pieces import Pieces, Stock
 from torchtex.sources import pixel_places
+
+_NEAR = 6  # pixels around one that are its part of an exemplar
 
 
 def use_of(pieces: Pieces, stock: Stock) -> list[Float[Tensor, "_ _"]]:
@@ -33,6 +36,29 @@ def use_of(pieces: Pieces, stock: Stock) -> list[Float[Tensor, "_ _"]]:
         counts.append(torch.bincount(flat, minlength=h * w).view(h, w).double())
     mean = max(len(owner), 1) / sum(int(usable.sum()) for usable in stock.usable)
     return [count / mean for count in counts]
+
+
+def excess_of(
+    used: Sequence[Float[Tensor, "_ _"]], usual: Sequence[Float[Tensor, "_ _"]]
+) -> list[Float[Tensor, "_ _"]]:
+    """How much more often than usual the parts of each exemplar are shown, as log2 in -2..2.
+
+    Args:
+        used, usual: of `use_of`.
+
+    Example:
+        >>> once = torch.ones(8, 8)
+        >>> excess_of([3 * once], [once])[0].unique().tolist()
+        [1.0]
+    """
+    found = []
+    for maps in zip(used, usual, strict=True):
+        now, before = (
+            F.avg_pool2d(F.pad(one[None, None], (_NEAR,) * 4, mode="replicate"), 2 * _NEAR + 1, 1)
+            for one in maps
+        )
+        found.append(((now + 1) / (before + 1)).log2().clamp(-2, 2)[0, 0])
+    return found
 
 
 def best_part(
