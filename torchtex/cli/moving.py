@@ -72,8 +72,9 @@ def animate(
         float, typer.Option(help="How far new content keeps away from what is shown already.")
     ] = 1.0,
     balance: Annotated[
-        float, typer.Option(help="Cost of content that is shown more often than other content.")
-    ] = 0.02,
+        float,
+        typer.Option(help="Cost of content that is shown more often than in the first frame."),
+    ] = 0.03,
     mend: Annotated[
         int, typer.Option(help="New pieces tried per frame, over its worst seams.")
     ] = 12,

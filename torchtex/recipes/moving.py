@@ -49,7 +49,7 @@ class Costs:
     follow: float = 0.01
     hold: float = 0.1
     repeat: float = 1.0
-    balance: float = 0.02
+    balance: float = 0.03
 
 
 class Canvas:
