@@ -4,6 +4,7 @@ import pytest
 import torch
 from conftest import noise
 from torch import Tensor
+from torch.nn.functional import interpolate
 
 from torchtex.cuts.seams import patch_views, present_seams
 from torchtex.recipes.carried import itself
@@ -28,6 +29,23 @@ def cost(positions: Tensor, zs: list[Tensor], periodic: bool = False) -> float:
         across, down = present_seams(views, gradient=True)
         return float(across[:-1].sum() + down[:, :-1].sum())
     return float(sum(costs.sum() for costs in present_seams(views, gradient=True)))
+
+
+def test_pieces_may_be_larger_than_what_was_compared() -> None:
+    z = interpolate(noise(3, 12, 12)[None], (48, 48), mode="bicubic")[0].clamp(0, 1)
+    whole = itself([z], 0)
+    rows = whole.field.positions[0].view(6, 8, 6, 8, 3).movedim(2, 1).reshape(36, 8, 8, 3)
+    order = torch.randperm(36, generator=torch.Generator().manual_seed(0))
+    places = rows[order].view(6, 6, 8, 8, 3).movedim(2, 1).reshape(48, 48, 3)
+    field = copied(places, [(48, 48)])
+    made = Montage(field.apply([z]), field, torch.zeros(48, 48, dtype=torch.long), 0.0, 0, {})
+    done = mended(made, [z], Mending(30, window=20, place=6))
+    spans = []
+    for number in range(1, int(done.patches.max()) + 1):
+        found = (done.patches == number).nonzero()
+        if len(found):
+            spans.append(int((found.amax(0) - found.amin(0)).max()) + 1)
+    assert 20 < max(spans) <= 20 + 2 * 5
 
 
 def test_views_of_copies_are_those_of_the_exemplar() -> None:
@@ -83,7 +101,7 @@ def test_seams_never_get_worse_and_pixels_are_read(periodic: bool, mirrors: bool
     assert done.settings["seams"] < done.settings["seams_before"]
     # counted on the way, and again from the sources, but for what narrow pieces show beyond them
     left = cost(done.field.positions[0], [z], periodic)
-    assert left == pytest.approx(done.settings["seams"], rel=0.05)
+    assert left == pytest.approx(done.settings["seams"], rel=0.1)
 
 
 def test_nothing_is_done_to_what_has_no_seams() -> None:

@@ -31,6 +31,7 @@ from torchtex.sources import copied
 
 _LOOKS = 4  # that a place is looked for in
 _TRIED = 3  # matches for one place
+_ROOM = 4  # a match may also cover 1 / _ROOM of the window's side around it
 _NEAR = 4  # pixels between two of them
 _FITS = 0.3  # cost of a seam, per pixel, that a thing may have around it
 _TIRED = 0.5  # weight of a place after each visit
@@ -42,7 +43,8 @@ class Mending:
 
     Args:
         count: places that are visited; None for as many as suit the size, 0 for none.
-        window: side of the piece that is laid over a place.
+        window: side of what is compared around a place; the piece that is laid over it may reach a
+            quarter of that farther on every side.
         place: side of a place.
         turns: also pieces turned by quarter turns.
         mirrors: also mirrored pieces; beside their images they make figures that are symmetric.
@@ -165,9 +167,10 @@ class _Look:
 
 @dataclass(frozen=True)
 class _Match:
-    """A part of a look over a rectangle: what it covers, and the seams that remain."""
+    """A part of a look over a rectangle: what it covers, and how much less seams cost then."""
 
-    total: float
+    gain: float
+    box: tuple[int, int, tuple[int, int]]  # top, left and size of the rectangle
     labels: Bool[Tensor, "h w"]
     mixed: Float[Tensor, "5 c h w"]
     source: Tensor
@@ -207,7 +210,7 @@ class _Run:
             left = min(max(left, 0), canvas.size[1] - self.side[1])
         found = self._best(top, left)
         if found is not None:
-            self._take(found, top, left)
+            self._take(found)
         return True
 
     def release(self) -> None:
@@ -224,26 +227,47 @@ class _Run:
         self.weight.fill_(1.0)
 
     def _best(self, top: int, left: int) -> _Match | None:
-        """The match that leaves the least seams, if those are less than now."""
-        canvas, (height, width) = self.canvas, self.side
+        """The match that lowers the cost of seams most, if one does."""
+        canvas = self.canvas
         rows, cols = canvas.index(top, left, self.side)
-        first = canvas.beside(top, left, self.side) | (canvas.held[rows, cols] >= 0)
-        if bool(first.all()):
+        inner = canvas.beside(top, left, self.side) | (canvas.held[rows, cols] >= 0)
+        if bool(inner.all()):
             return None
-        old, best = canvas.views[..., rows, cols], None
-        least = _total(old)
-        for look, row, col in self._spots(old[0]):
-            part = (..., slice(row, row + height), slice(col, col + width))
-            new = look.views[part]
+        best = None
+        for look, row, col in self._spots(canvas.views[0][:, rows, cols]):
+            box, part = self._room(look, (top, left), (row, col))
+            index = canvas.index(*box)
+            first = canvas.beside(*box) | (canvas.held[index] >= 0)
+            old, new = canvas.views[..., index[0], index[1]], look.views[..., part[0], part[1]]
             labels = cut_patch(
                 old, new, first, torch.zeros_like(first), gradient=True, solver=self.solver
             )
             mixed = torch.where(labels, new, old)
-            total = _total(mixed)
-            if total < least:
-                least = total
-                best = _Match(total, labels, mixed, look.positions[part[1:]])
+            gain = _total(old) - _total(mixed)
+            if gain > (0 if best is None else best.gain):
+                best = _Match(gain, box, labels, mixed, look.positions[part])
         return best
+
+    def _room(
+        self, look: _Look, at: tuple[int, int], place: tuple[int, int]
+    ) -> tuple[tuple[int, int, tuple[int, int]], tuple[slice, slice]]:
+        """The rectangle that a match is laid over, and that of the look: more than was compared.
+
+        So a seam that would run straight along the border of what was compared goes around things.
+        """
+        starts, sides, parts = [], [], []
+        for axis in (0, 1):
+            extent, shown = self.canvas.size[axis], look.places.shape[axis]
+            before, after = at[axis], extent - at[axis] - self.side[axis]
+            if self.canvas.periodic:
+                before = after = (extent - self.side[axis]) // 2
+            room = self.side[axis] // _ROOM
+            before = min(room, before, place[axis])
+            after = min(room, after, shown - place[axis] - self.side[axis])
+            starts.append(at[axis] - before)
+            sides.append(before + self.side[axis] + after)
+            parts.append(slice(place[axis] - before, place[axis] + self.side[axis] + after))
+        return (starts[0], starts[1], (sides[0], sides[1])), (parts[0], parts[1])
 
     def _spots(self, template: Tensor) -> list[tuple[_Look, int, int]]:
         """The best matches of what a rectangle shows, none near another."""
@@ -279,8 +303,9 @@ class _Run:
         count = torch.bincount(places.flatten(), minlength=pixels).double()
         return count * (pixels / places.numel())
 
-    def _take(self, found: _Match, top: int, left: int) -> None:
-        canvas, index = self.canvas, self.canvas.index(top, left, self.side)
+    def _take(self, found: _Match) -> None:
+        canvas, (top, left, side) = self.canvas, found.box
+        index = canvas.index(top, left, side)
         self.mended += 1
         self.count += 1
         canvas.views[..., index[0], index[1]] = found.mixed
@@ -290,7 +315,7 @@ class _Run:
             found.labels[..., None], source, canvas.positions[index]
         )
         canvas.patches[index] = torch.where(found.labels, self.count, canvas.patches[index])
-        canvas.measure(top - 1, left - 1, (self.side[0] + 2, self.side[1] + 2))
+        canvas.measure(top - 1, left - 1, (side[0] + 2, side[1] + 2))
 
 
 def _looks(
