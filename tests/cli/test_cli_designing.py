@@ -167,6 +167,44 @@ def test_design_takes_layers_plans_and_ranges(run: Run, here: Path) -> None:
     repeated(run, "y.png")
 
 
+@pytest.mark.parametrize("options", [("--textures", 2), ("--textures", 1), ("--enlarge", "layers")])
+def test_a_report_is_a_plan_that_can_be_edited(
+    run: Run, here: Path, options: tuple[object, ...]
+) -> None:
+    line = (*DESIGN, "--seed", 2, *options)
+    assert run(*line, "-o", "x.png", "--report", "r.json").code == 0
+    assert run(*line, "-o", "y.png", "--plan", "r.json").code == 0
+    assert torch.equal(pixels("x.png"), pixels("y.png"))
+    report = json.loads(Path("r.json").read_text())
+    held = json.loads(images.read_metadata("x.png")["torchtex"])["settings"]
+    assert not {"plan", "plans"} & set(held)  # which are long
+    plans = report["settings"].get("plans") or [report["settings"]["plan"]]
+    assert len(plans) == (2 if options[1] == 2 else 1)
+    for layer in plans[0]:
+        layer[:] = [{"kind": "mirror", "direction": "up-down"}]
+    Path("r.json").write_text(json.dumps(report))
+    assert run(*line, "-o", "z.png", "--plan", "r.json").code == 0
+    assert not torch.equal(pixels("x.png"), pixels("z.png"))
+    repeated(run, "z.png")
+
+
+def test_recipe_files_keep_plans_and_take_them(run: Run, here: Path) -> None:
+    stage = "exemplars: [dots.png]\nstages:\n - layers: {size: [40, 44], layers: 2, patch: 12}\n"
+    Path("a.yaml").write_text(stage)
+    line = ("design", "--recipe", "a.yaml", "--cache", "kept", "--quiet")
+    assert run(*line, "-o", "x.png", "--report", "r.json").code == 0
+    plan = json.loads(Path("r.json").read_text())["settings"]["plan"]
+    assert run(*line, "-o", "x.png", "--report", "s.json").code == 0  # from the cache
+    assert json.loads(Path("s.json").read_text())["settings"]["plan"] == plan
+    Path("a.yaml").write_text(stage.replace("12}", "12, plan: r.json}"))
+    assert run(*line, "-o", "y.png").code == 0
+    assert torch.equal(pixels("x.png"), pixels("y.png"))
+    Path("r.json").write_text(json.dumps({"plan": [[], *plan[1:]]}))
+    assert run(*line, "-o", "z.png").code == 0
+    assert not torch.equal(pixels("x.png"), pixels("z.png"))
+    repeated(run, "z.png")
+
+
 STAGES = """
 exemplars: [dots.png, noise.png]
 seed: 3
@@ -261,7 +299,8 @@ def stages(picture: str) -> list[bool]:
         ("give one each", ("design", "dots.png", "noise.png", "--scribbles", "marks.png")),
         ("is transparent in places", ("design", "glass.png")),
         ("cache and only are for --recipe", ("design", "dots.png", "--cache", "c")),
-        ("plan is for one texture", ("design", "dots.png", "--plan", "plan.json")),
+        ("plan: 1 given and textures=3; give all", ("design", "dots.png", "--plan", "plan.json")),
+        ("plan='none.json' holds no plan", ("design", "dots.png", "--plan", "none.json")),
         ("plan='text.png' is no json", ("design", "dots.png", "--plan", "text.png")),
         ("layer 0, operation 0: kind='bend'", ("design", "dots.png", "--plan", "bad.json")),
         ("decided by --recipe", ("design", "--recipe", "a.yaml", "--layers", 4)),
@@ -276,6 +315,7 @@ def test_bad_input_is_one_sentence(
     words: str, line: tuple[object, ...], run: Run, here: Path
 ) -> None:
     Path("plan.json").write_text("[[]]")
+    Path("none.json").write_text('{"settings": {}}')
     Path("bad.json").write_text('[[{"kind": "bend"}]]')
     Path("a.yaml").write_text(STAGES)
     refused(run, here, words, *line, "-o", "x.png", "--quiet")
@@ -306,6 +346,8 @@ def test_bad_input_is_one_sentence(
         ("line 7: cyclic=41", "cyclic: 8", "cyclic: 41"),
         ("line 8: count=0 must lie in 1..10000", "{count: 2", "{count: 0"),
         ("line 7: size=[40, 0] must be", "[40, 44], by", "[40, 0], by"),
+        ("line 8: plan='r.txt' is no JSON", "patch: 12", "plan: r.txt"),
+        ("line 8, stage layers: plan has 1 list", "patch: 12", "plan: p.json"),
         ("line 2: exemplars must be a list", "[dots.png, noise.png]", "dots.png"),
         ("line 5:", "{count: 1,", "{count: 1"),
         ("exemplars is missing", "exemplars: [dots.png, noise.png]", ""),
@@ -313,6 +355,8 @@ def test_bad_input_is_one_sentence(
 )  # fmt: skip
 def test_a_bad_recipe_names_the_line(words: str, old: str, new: str, run: Run, here: Path) -> None:
     assert old in STAGES
+    Path("r.txt").write_text("words")
+    Path("p.json").write_text("[[]]")
     Path("a.yaml").write_text(STAGES.replace(old, new))
     refused(run, here, words, "design", "--recipe", "a.yaml", "-o", "x.png", "--quiet")
 

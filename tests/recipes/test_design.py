@@ -151,9 +151,9 @@ def test_workers_change_no_bit() -> None:
 
 def test_a_plan_is_taken_for_one_texture() -> None:
     z = dots()
-    still = replace(QUICK, plan=Plan(((),) * 5))
+    still = replace(QUICK, plans=(Plan(((),) * 5),))
     made = design(z, (48, 48), layering=still, textures=1)
-    plain = layered(z, [segment(z, 2)], plan=still.plan, filling=FILLING)
+    plain = layered(z, [segment(z, 2)], plan=still.plans[0], filling=FILLING)
     assert torch.equal(plain.texture, z)
     assert torch.equal(made.apply(z), made.texture)
 
@@ -216,7 +216,7 @@ def test_bad_input_is_refused() -> None:
         ({"cyclic_overlap": 50}, "cyclic_overlap=50"),
         ({"seed": -1}, "seed=-1"),
         ({"layering": Layering(layers=1)}, "layers=1 must lie in 2"),
-        ({"layering": replace(QUICK, plan=Plan(()))}, "plan is for one texture"),
+        ({"layering": replace(QUICK, plans=(Plan(()),))}, "plan: 1 given and textures=3"),
         ({"layering": replace(QUICK, chaos=Chaos(), filling=Filling(patch=1))}, "patch=1"),
     ):
         with pytest.raises(ValueError, match=words):

@@ -5,6 +5,7 @@ from pathlib import Path
 import typer
 
 from torchtex.cli.base import progress_bar
+from torchtex.cli.design_options import DesignOutputs
 from torchtex.cli.layers import numbered
 from torchtex.cli.recipe import ASIDE, Outputs, described, kept_options
 
@@ -13,6 +14,7 @@ def run_file(
     context: typer.Context,
     recipe: Path,
     output: Path,
+    report: Path | None,
     cache: Path | None,
     only: int | None,
     exemplars: list[str],
@@ -47,20 +49,24 @@ def run_file(
     if only is not None and not 1 <= only <= count:
         raise ValueError(f"only={only} must lie in 1..{count}, the designs of the recipe")
     wanted = list(range(1, count + 1)) if only is None else [only]
-    names = [output] if len(wanted) == 1 else [numbered(output, number) for number in wanted]
-    for name in names:
-        Outputs(name, bits).check(files)
+    alone = len(wanted) == 1
+    outputs = []
+    for number in wanted:
+        name = output if alone else numbered(output, number)
+        told = report if report is None or alone else numbered(report, number)
+        outputs.append(DesignOutputs(Outputs(name, bits, report=told)))
+        outputs[-1].check(files)
     if threads is not None:
         torch.set_num_threads(threads)
     with progress_bar(quiet) as watch:
         made = run_book(book, load_book(book), cache=cache, on_step=watch)
     about = described(context, {str(recipe): recipe} | files, kept_options(context))
     about["stages"] = [{"stage": name, "run": run} for name, run in made.run]
-    for name, number in zip(names, wanted, strict=True):
+    for files_of, number in zip(outputs, wanted, strict=True):
         result = made.designs[number - 1]
-        alone = about | {"options": about["options"] | {"only": number}}
-        Outputs(name, bits).write(result, alone | result.report())
-        print(name)
+        own = about | {"options": about["options"] | {"only": number}}
+        files_of.write(result, own | result.report())
+        print(files_of.output)
 
 
 def _refuse_others(context: typer.Context) -> None:
@@ -68,6 +74,7 @@ def _refuse_others(context: typer.Context) -> None:
     allowed = {
         "recipe",
         "output",
+        "report",
         "cache",
         "only",
         "bits",

@@ -1,16 +1,19 @@
 """Options that completion and designs share, and how their words are read."""
 
-import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from torchtex.cli.files import choose, extent_of
 from torchtex.cli.layers import load_scribbles
+from torchtex.cli.recipe import Outputs, write_report
 
 if TYPE_CHECKING:
-    from torchtex.layers.plans import Plan
     from torchtex.recipes.design_parts import Enlarge
+    from torchtex.recipes.montage import Montage
 
 SEARCHES = ("exhaustive", "fft", "qtp")
 
@@ -33,20 +36,34 @@ def scribbled(zs: Any, scribbles: list[str]) -> Any:
     ]
 
 
-def plan_of(name: str | None) -> "Plan | None":
-    """A plan from a JSON file, or from the report of a design."""
-    if name is None:
-        return None
-    from torchtex import image as images
-    from torchtex.layers.plans import Plan
+@dataclass(frozen=True)
+class DesignOutputs:
+    """Outputs whose report alone holds plans: they are as long as a picture is small.
 
-    try:
-        value = json.loads(images.read_bytes(name, name="plan"))
-    except ValueError as error:
-        if "plan=" in str(error):
-            raise
-        raise ValueError(f"plan={name!r} is no JSON ({error})") from None
-    return Plan.read(value.get("plan", value) if isinstance(value, dict) else value)
+    Args:
+        files: what is written.
+    """
+
+    files: Outputs
+
+    @property
+    def output(self) -> Path:
+        """The picture."""
+        return self.files.output
+
+    def check(self, read: Mapping[str, Path]) -> None:
+        """Refuses, before work starts, what cannot be written."""
+        self.files.check(read)
+
+    def write(self, result: "Montage", about: dict[str, Any]) -> None:
+        """Writes all of it, the report with plans."""
+        settings = {k: v for k, v in about["settings"].items() if k not in ("plan", "plans")}
+        replace(self.files, report=None).write(result, about | {"settings": settings})
+        write_report(self.files.report, about)
+
+    def write_partial(self, progress: Any, about: dict[str, Any]) -> None:
+        """Writes the texture that there was."""
+        self.files.write_partial(progress, about)
 
 
 def order_of(name: str) -> Literal["scan", "confidence"]:

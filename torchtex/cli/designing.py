@@ -7,12 +7,12 @@ import typer
 
 from torchtex.cli.base import Watch, app, progress_bar
 from torchtex.cli.design_options import (
+    DesignOutputs,
     Order,
     Patch,
     Searches,
     enlarge_of,
     order_of,
-    plan_of,
     scribbled,
     search_of,
 )
@@ -77,7 +77,9 @@ def design(
         int | None, typer.Option(help="Make it tile, by seams in an overlap of so many pixels.")
     ] = None,
     plan: Annotated[
-        str | None, typer.Option(help="JSON of operations for every piece; with --textures 1.")
+        str | None,
+        typer.Option(help="Operations for every piece: a --report, perhaps edited, or its list of "
+                     "them with --textures 1."),
     ] = None,
     chaos: Annotated[str, typer.Option(help="Map: logistic, tent or henon.")] = "logistic",
     combined: Annotated[int, typer.Option(help="Different operations on one layer.")] = 2,
@@ -115,7 +117,7 @@ def design(
     if recipe is not None:
         from torchtex.cli.design_files import run_file
 
-        run_file(context, Path(recipe), output, cache, only, names, bits, threads, quiet)
+        run_file(context, Path(recipe), output, report, cache, only, names, bits, threads, quiet)
         return
     if cache is not None or only is not None:
         raise ValueError("cache and only are for --recipe; leave them out")
@@ -136,12 +138,13 @@ def design(
     if rotate is not None or scale is not None or mirror or flip:
         spread = spread_of("0", "0", rotate or "0", scale or "1", mirror, flip)
     from torchtex.layers.plans import Chaos
+    from torchtex.recipes.design_file import read_plans
     from torchtex.recipes.design_parts import Layering
     from torchtex.recipes.layered import Filling
     from torchtex.recipes.mending import Mending
 
     layering = Layering(
-        layers, way, Chaos(chaos, combined, iterations), plan_of(plan),
+        layers, way, Chaos(chaos, combined, iterations), () if plan is None else read_plans(plan),
         filling=Filling(patch, how, which), mending=Mending(mend, turns=not upright),
         variety=variety,
     )  # fmt: skip
@@ -162,7 +165,8 @@ def design(
         )  # fmt: skip
 
     if count == 1:
-        outputs = Outputs(output, bits, labels, report, patch_pictures(seams, patch_map))
+        pictures = patch_pictures(seams, patch_map)
+        outputs = DesignOutputs(Outputs(output, bits, labels, report, pictures))
         carry_out(context, outputs, read, lambda watch: made(1, watch)[0], threads=threads,
                   keep_partial=keep_partial, quiet=quiet)  # fmt: skip
         return
@@ -181,11 +185,13 @@ def _several(
     """Writes many designs, each with the options that make it alone."""
     names = ("labels", "report", "seams", "patch_map")
 
-    def outputs(number: int) -> Outputs:
+    def outputs(number: int) -> DesignOutputs:
         named = {n: None if p is None else numbered(p, number)
                  for n, p in zip(names, others, strict=True)}  # fmt: skip
         pictures = patch_pictures(named["seams"], named["patch_map"])
-        return Outputs(numbered(output, number), bits, named["labels"], named["report"], pictures)
+        return DesignOutputs(
+            Outputs(numbered(output, number), bits, named["labels"], named["report"], pictures)
+        )
 
     for number in range(1, count + 1):
         outputs(number).check(read)

@@ -72,7 +72,8 @@ def design(
 
     Returns:
         A montage of positions in the exemplars. `apply` equals the texture unless `poisson` or
-        "wavelet" made pixels anew.
+        "wavelet" made pixels anew. Its settings hold the `plan` of the one texture, or the
+        `plans` of all; the same, or edited ones, may be given as those of `layering`.
 
     Raises:
         ValueError: an option out of range, one layer only, or a layer that vanished.
@@ -94,17 +95,22 @@ def design(
     taste = taste_of(made, layering.variety, seed)
     part = 1 / (textures + 3)
     if enlarge == "layers":
+        plan = layering.plans[0] if layering.plans else None
         bases = bases_of(zs, layering, spread, seed, False)
-        whole = deformed(zs, made, bases, extent, layering, seed, share(on_step, 0.0, 1 - 2 * part))
+        tell = share(on_step, 0.0, 1 - 2 * part)
+        whole = deformed(zs, made, bases, extent, layering, seed, tell, plan=plan)
+        plans = [whole.settings["plan"]]
     else:
         bases, parts = [], []
         for n in range(textures):
             own = part_seed(seed, n)
             mine = bases_of(zs, layering, spread, own, True)
             tell = share(on_step, n * part, part)
-            parts.append(deformed(zs, made, mine, None, layering, own, tell))
+            plan = layering.plans[n] if layering.plans else None
+            parts.append(deformed(zs, made, mine, None, layering, own, tell, plan=plan))
             bases += mine if spread is not None else []
         bases = bases or [itself(zs, n) for n in range(len(zs))]
+        plans = [one.settings["plan"] for one in parts]
     finish = partial(finished, zs=zs, bases=bases, layering=layering, poisson=poisson,
                      taste=taste, seed=seed)  # fmt: skip
     if enlarge == "wavelet":  # its pixels are new, and have no seams
@@ -119,10 +125,11 @@ def design(
             whole = enlarged(zs, parts, extent, enlarge, seed, tell)
         whole = finish(whole, overlap=extra, on_step=share(on_step, 1 - 2 * part, 2 * part))
     settings = {
-        "recipe": "design", "size": list(size), "layering": repr(layering),
+        "recipe": "design", "size": list(size), "layering": repr(replace(layering, plans=())),
         "spread": repr(spread), "textures": textures, "enlarge": enlarge,
         "cyclic_overlap": cyclic_overlap, "poisson": poisson,
         "layers": [s.count for s in made],
+        **({"plan": plans[0]} if len(plans) == 1 else {"plans": plans}),
     }  # fmt: skip
     return replace(whole, seconds=time.perf_counter() - began, seed=seed, settings=settings)
 
@@ -213,5 +220,9 @@ def _check(
         raise ValueError(
             f"cyclic_overlap={overlap} must lie in 2..{min(size)}, the shorter side of size"
         )
-    if layering.plan is not None and (textures > 1 or enlarge == "layers"):
-        raise ValueError("plan is for one texture: take textures=1 and another enlarge than layers")
+    wanted = 1 if enlarge == "layers" else textures
+    if layering.plans and len(layering.plans) != wanted:
+        how = (
+            "enlarge=layers needs one" if enlarge == "layers" else f"textures={textures}; give all"
+        )
+        raise ValueError(f"plan: {len(layering.plans)} given and {how}")

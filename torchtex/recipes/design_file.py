@@ -15,6 +15,7 @@ Each may be left out, `edit` may occur several times.
 Source: Shen et al. 2010, Texture design by energy optimization, figure 2.
 """
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,7 @@ from typing import Any
 
 from torchtex.extras import needed
 from torchtex.image import read_bytes
+from torchtex.layers.plans import Plan
 
 Settings = Mapping[str, Any]
 _NUMBERS = (int, float)
@@ -42,7 +44,7 @@ KNOWN: Mapping[str, Mapping[str, str]] = {
     "layers": {
         "count": "whole", "size": "pair", "layers": "whole", "method": "method",
         "combined": "whole", "iterations": "whole", "map": "map", "patch": "whole",
-        "search": "search", "order": "order", "cyclic": "whole", "poisson": "flag",
+        "search": "search", "order": "order", "cyclic": "whole", "poisson": "flag", "plan": "plan",
         "variety": "number", "turns": "flag",
     },
 }  # fmt: skip
@@ -90,8 +92,13 @@ class Book:
 
     def files(self) -> dict[str, Path]:
         """All files that decide what is made, by the names they are found under."""
-        masks = [entry.settings["mask"] for entry in self.stages if "mask" in entry.settings]
-        return {str(path): path for path in (self.path, *self.exemplars, *masks)}
+        named = [
+            entry.settings[name]
+            for entry in self.stages
+            for name in ("mask", "plan")
+            if name in entry.settings
+        ]
+        return {str(path): path for path in (self.path, *self.exemplars, *named)}
 
 
 def read_book(path: str | Path, exemplars: Mapping[str, Path] | None = None) -> Book:
@@ -139,6 +146,38 @@ def read_book(path: str | Path, exemplars: Mapping[str, Path] | None = None) -> 
     if not order or order[-1] < _ORDER.index("enlarge"):
         raise reader.error(whole["stages"], "no stage makes a texture; add enlarge or layers")
     return Book(where, files, seed, stages)
+
+
+def read_plans(path: str | Path) -> tuple[Plan, ...]:
+    """Plans from JSON: a list of operations for every piece, or the report of a design.
+
+    Raises:
+        ValueError: what is wrong, with the numbers of layer and operation.
+
+    Example:
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     file = Path(folder) / "plan.json"
+        ...     _ = file.write_text('[[{"kind": "scale", "amount": 0.9}], []]')
+        ...     [len(plan.layers) for plan in read_plans(file)]
+        [2]
+    """
+    text = read_bytes(path, name="plan")
+    try:
+        value = json.loads(text)
+    except ValueError as error:
+        raise ValueError(f"plan={str(path)!r} is no JSON ({error})") from None
+    if isinstance(value, dict):
+        held = value.get("settings", value)
+        held = held if isinstance(held, dict) else {}
+        plans = held.get("plans", [held["plan"]] if "plan" in held else None)
+        if not isinstance(plans, list) or not plans:
+            raise ValueError(
+                f"plan={str(path)!r} holds no plan; give a list of operations for every piece, or "
+                "the report of a design"
+            )
+        return tuple(Plan.read(plan) for plan in plans)
+    return (Plan.read(value),)
 
 
 def _parsed(path: Path) -> Any:
@@ -222,6 +261,13 @@ class _Reader:
     def value(self, node: Any, name: str, kind: str) -> Any:
         if kind == "file":
             return self.file(node, name)
+        if kind == "plan":
+            path = self.file(node, name)
+            try:
+                read_plans(path)
+            except ValueError as error:
+                raise self.error(node, str(error)) from None
+            return path
         if kind in _CHOICES:
             plain = self.plain(node)
             if plain not in _CHOICES[kind]:

@@ -44,8 +44,8 @@ class Layering:
     Args:
         layers, method: of `segment`.
         chaos: how operations are drawn.
-        plan: operations, instead of drawn ones, for every piece of the exemplar; for one texture
-            of the exemplar's size.
+        plans: operations, instead of drawn ones, for every piece: one plan for each small
+            texture, or one for layers over all of the large one.
         children, band, collar: of `layered`.
         filling: how holes are completed.
         mending: how seams are mended after that.
@@ -63,7 +63,7 @@ class Layering:
     layers: int = 3
     method: Method = "graph"
     chaos: Chaos = field(default_factory=Chaos)
-    plan: Plan | None = None
+    plans: tuple[Plan, ...] = ()
     children: bool = True
     band: int = 6
     collar: int = 6
@@ -154,12 +154,15 @@ def deformed(
     layering: Layering,
     seed: int,
     on_step: Callable[[Stage], None] | None = None,
+    *,
+    plan: Plan | None = None,
 ) -> Montage:
     """A texture of deformed layers of the exemplars, or of what they have become as a whole.
 
     Args:
         bases: of `bases_of`; those that are an exemplar have its layers.
         size: None for that of the first one.
+        plan: operations, instead of drawn ones.
 
     Example:
         >>> z = torch.zeros(1, 48, 48) + 0.1 * torch.rand(1, 48, 48)
@@ -183,7 +186,7 @@ def deformed(
         made,
         size,
         chaos=layering.chaos,
-        plan=layering.plan,
+        plan=plan,
         children=layering.children,
         band=layering.band,
         collar=layering.collar,

@@ -18,7 +18,7 @@ from torchtex.image import atomic_write, check_image, load, load_mask
 from torchtex.layers.deform import Spread
 from torchtex.layers.plans import Chaos
 from torchtex.recipes.carried import itself, onto
-from torchtex.recipes.design_file import SIZE, Book, StageEntry
+from torchtex.recipes.design_file import SIZE, Book, StageEntry, read_plans
 from torchtex.recipes.design_parts import (
     Layering,
     bases_of,
@@ -38,7 +38,7 @@ from torchtex.recipes.shares import Tell, share
 from torchtex.recipes.strokes import Stroke, brush
 from torchtex.sources import UNREADABLE, copied
 
-_FORMAT = 2  # of the files in the cache; another one is made anew
+_FORMAT = 3  # of the files in the cache; another one is made anew
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,11 @@ def run_book(
         else:
             found += made
     settings = {"recipe": "design file", "stages": [e.name for e in book.stages]}
-    return Made([replace(one, settings=settings, seed=book.seed) for one in found], run)
+    designs = []
+    for one in found:
+        plan = {name: one.settings[name] for name in ("plan",) if name in one.settings}
+        designs.append(replace(one, settings=settings | plan, seed=book.seed))
+    return Made(designs, run)
 
 
 def _run(
@@ -211,12 +215,16 @@ def _layers(
     textures = [part.texture for part in parts]
     found = layers_of(textures, layering)
     bases = bases_of(textures, layering, None, seed, False)
+    plans = read_plans(settings["plan"]) if "plan" in settings else ()
+    if len(plans) not in (0, 1, count):
+        raise ValueError(f"plan: {len(plans)} given for count={count}; give one, or one each")
     made = []
     for number in range(count):
         own, part = part_seed(seed, number), 1 / count
         done = deformed(
             textures, found, bases, (height + extra, width + extra), layering, own,
             share(told, number * part, part / 2),
+            plan=plans[number % len(plans)] if plans else None,
         )  # fmt: skip
         done = finished(
             done, textures, bases, layering, overlap=extra,
@@ -248,8 +256,9 @@ def _at_least(name: str, value: int, least: int) -> int:
 def _name(entry: StageEntry, seed: int, zs: list[Tensor], parts: list[Montage]) -> str:
     """The file that keeps a stage: its name, and a digest of all that decides it."""
     settings = dict(entry.settings)
-    if "mask" in settings:
-        settings["mask"] = hashlib.sha256(Path(settings["mask"]).read_bytes()).hexdigest()
+    for name in ("mask", "plan"):
+        if name in settings:
+            settings[name] = hashlib.sha256(Path(settings[name]).read_bytes()).hexdigest()
     digest = hashlib.sha256(json.dumps([_FORMAT, entry.name, settings, seed]).encode())
     for image in (*zs, *(tensor for p in parts for tensor in (p.texture, p.field.positions))):
         digest.update(str((image.dtype, tuple(image.shape))).encode())
@@ -263,6 +272,7 @@ def _keep(file: Path, made: list[Montage]) -> None:
         arrays[f"texture{number}"] = one.texture.cpu().numpy()
         arrays[f"positions{number}"] = one.field.positions[0].cpu().numpy()
         arrays[f"patches{number}"] = one.patches.cpu().numpy()
+        arrays[f"settings{number}"] = np.array(json.dumps(dict(one.settings)))
     with atomic_write(file, name="cache") as temporary, open(temporary, "wb") as out:
         np.savez_compressed(out, **arrays)  # type: ignore[arg-type]
 
@@ -281,9 +291,9 @@ def _kept(file: Path, zs: list[Tensor], seed: int) -> list[Montage] | None:
                     torch.from_numpy(kept[f"patches{n}"]).to(zs[0].device),
                     0.0,
                     seed,
-                    {},
+                    json.loads(str(kept[f"settings{n}"])),
                 )
-                for n in range(len(kept.files) // 3)
+                for n in range(len(kept.files) // 4)
             ]
     except UNREADABLE:
         return None  # torn or of another make: it is made again
