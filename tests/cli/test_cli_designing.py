@@ -242,6 +242,18 @@ def test_a_recipe_file_goes_on_from_what_it_kept(run: Run, here: Path) -> None:
     assert run("design", "--recipe", "a.json", "-o", "j.png", "--quiet") == Done(0, "j.png\n", "")
 
 
+def test_turns_are_the_default_of_both_stages(run: Run, here: Path) -> None:
+    text = "exemplars: [dots.png]\nstages:\n - %s: {size: [64, 72], %s turns: %s}\n"
+    for stage, extra in (("enlarge", ""), ("layers", "layers: 2, patch: 12,")):
+        made = {}
+        for turns in ("true", "false", None):
+            line = text % (stage, extra, turns)
+            Path("a.yaml").write_text(line.replace(" turns: None", ""))
+            assert run("design", "--recipe", "a.yaml", "-o", "x.png", "--quiet").code == 0
+            made[turns] = pixels("x.png")
+        assert torch.equal(made[None], made["true"])
+
+
 def stages(picture: str) -> list[bool]:
     about = json.loads(images.read_metadata(picture)["torchtex"])
     return [stage["run"] for stage in about["stages"]]

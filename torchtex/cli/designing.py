@@ -42,7 +42,8 @@ def design(
     output: Output,
     exemplar: Annotated[
         list[str] | None,
-        typer.Argument(help="Pictures, or names of bundled exemplars; layers of all are mixed."),
+        typer.Argument(help="Pictures, or names of bundled exemplars; of unlike ones, one may be "
+                       "all that is seen, least with --enlarge layers."),
     ] = None,
     recipe: Annotated[
         str | None,

@@ -56,7 +56,8 @@ def design(
     """One new texture out of deformed layers of the exemplars.
 
     Args:
-        exemplars: one image, or several; layers of all of them are mixed.
+        exemplars: one image, or several. Each small texture is made of one that is drawn, and
+            where they are unlike, one may be all that is seen; "layers" mixes more of them.
         size: (height, width) of the texture.
         layering: how layers are found, deformed and put together.
         segmentations: the layers of each exemplar, where they are known.

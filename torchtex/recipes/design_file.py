@@ -40,6 +40,7 @@ KNOWN: Mapping[str, Mapping[str, str]] = {
     },
     "enlarge": {
         "count": "whole", "size": "pair", "by": "enlarge", "cyclic": "whole", "poisson": "flag",
+        "turns": "flag",
     },
     "layers": {
         "count": "whole", "size": "pair", "layers": "whole", "method": "method",

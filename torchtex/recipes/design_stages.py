@@ -175,8 +175,8 @@ def _enlarge(
     """Stage 3: large textures from the set."""
     count, extra = _at_least("count", settings.get("count", 1), 1), settings.get("cyclic", 0)
     height, width = _size(settings)
-    size, by = (height + extra, width + extra), settings.get("by", "wavelet")
-    layering, made = Layering(mending=Mending(turns=False)), []
+    size, by = (height + extra, width + extra), settings.get("by", "graphcut")
+    layering, made = Layering(mending=Mending(turns=settings.get("turns", True))), []
     for number in range(count):
         own, part = part_seed(seed, number), 1 / count
         tell = share(told, number * part, part / 2)
@@ -207,9 +207,9 @@ def _layers(
         ),
         filling=Filling(
             settings.get("patch", 32), settings.get("order", "scan"),
-            settings.get("search", "qtp"),
+            settings.get("search", "fft"),
         ),
-        mending=Mending(turns=settings.get("turns", False)),
+        mending=Mending(turns=settings.get("turns", True)),
         variety=settings.get("variety", Layering().variety),
     )  # fmt: skip
     textures = [part.texture for part in parts]
