@@ -61,7 +61,7 @@ class Motion:
     hold: float = 0.1
     follow: float = 0.01
     repeat: float = 1.0
-    balance: float = 0.03
+    balance: float = 0.045
     mend: int = 12
     fade: int = 3
     steps: int = 4

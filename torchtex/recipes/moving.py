@@ -49,7 +49,7 @@ class Costs:
     follow: float = 0.01
     hold: float = 0.1
     repeat: float = 1.0
-    balance: float = 0.03
+    balance: float = 0.045
 
 
 class Canvas:
