@@ -53,7 +53,11 @@ def skeleton(
         int, typer.Option(help="How often the images are halved: 1, 2 or 3; more is faster.")
     ] = 1,
     wavelet: Annotated[
-        str, typer.Option(help="haar copies pixels; db2 and longer ones blend them across seams.")
+        str,
+        typer.Option(
+            help="Of the coarse band: haar, db2, ... With --no-mend, haar copies pixels and db2 "
+            "blends them across seams; longer ones ring there."
+        ),
     ] = "haar",
     phases: Annotated[
         int, typer.Option(help="Shifts of the exemplar along each axis to choose from: 1, 2, 4, 8.")

@@ -24,6 +24,7 @@ from torchtex.cuts.mincut import MinCut, default_solver
 from torchtex.features import Feature
 from torchtex.image import resize
 from torchtex.inputs import Exemplars, Masks, check_seed, usable_exemplars
+from torchtex.label_spaces import LabelSpace
 from torchtex.recipes.block_seams import STEPS, block_seams
 from torchtex.recipes.montage import Montage, Stage
 from torchtex.recipes.skeleton_blocks import LEAST, BlockShape
@@ -63,13 +64,16 @@ def skeleton(
         exemplars: one image, or several with equal channels.
         size: (height, width) of the texture.
         levels: how often the images are halved; each makes the work about four times less.
-        wavelet: "haar" copies pixels. A longer one, such as "db2", blends them across seams, since
-            its filters reach into the next block (see `bands.BandField`).
+        wavelet: what makes the coarse band. Without `mend`, "haar" copies pixels, and a longer one,
+            such as "db2", copies coefficients: its filters reach into the next blocks, and blend
+            across seams (see `bands.BandField`). The longer, the more they ring where details of
+            unlike pieces meet; db4 and longer ones leave speckles.
         phases: shifts of the exemplar, along each axis, that give a coarse exemplar each; a power
             of 2, at most 2^levels.
-        cut: "mincut" moves seams between pieces to where they show least, "none" leaves them.
+        cut: "mincut" moves seams between pieces to where they show least, with `mend` at
+            every finer level again; "none" leaves them.
         mend: match and average windows where pieces meet, at every finer level; pixels elsewhere
-            stay copies. With a longer wavelet, which blends them anyway, not at the finest.
+            stay copies, whatever the wavelet.
         solver: of the cut; None for the first one that is installed.
         feature: what is compared in the coarse band; pixels unless given.
         schedule: of the coarse band, relative to it; the part of `default_schedule` that is as
@@ -119,16 +123,16 @@ def skeleton(
     places = shape.origins(made.source_map, corners)
     moved = 0
     if cut == "mincut":
-        seams = block_seams(zs, space, shape.side, boundary == "periodic")
-        labels = seams.moved(places, solver, _seam_reporter(on_step, made.texture, size))
-        after = space.positions.to(labels.device)[labels]
+        watch = _seam_reporter(on_step, made.texture, size)
+        after = _moved(places, shape, zs, space, solver, watch)
         moved, places = int((after != places).any(-1).sum()), after
-    margin, last = shape.margin * shape.side, shape
+    margin = shape.margin * shape.side
     if mend:
-        places, last = _descended(places, shape, zs, keep)
-    field = last.field(places, zs, margin)
-    if mend and wavelet == "haar":
-        field = mended(field, zs, keep, periodic=boundary == "periodic")
+        places, last = _descended(places, shape, zs, keep, solver)
+        copies = last.copies(places, zs, margin)
+        field = mended(copies, zs, keep, periodic=boundary == "periodic")
+    else:
+        field = shape.field(places, zs, margin)
     settings = {
         "recipe": "skeleton",
         "size": list(size),
@@ -143,7 +147,7 @@ def skeleton(
         "coarse": made.settings,
     }
     texture = field.apply(zs)
-    texture = texture if wavelet == "haar" else texture.clamp(0, 1)
+    texture = texture if mend or wavelet == "haar" else texture.clamp(0, 1)
     if mend and on_step is not None:
         on_step(Stage(1.0, "mending", texture))
     pieces = _pieces(field.source_map(), boundary)
@@ -210,24 +214,45 @@ def _plan(coarse: Tensor, shape: BlockShape) -> tuple[Level, ...]:
     return tuple(room) if room and room[-1].scale == 1 else (Level(1.0, LEAST, 8),)
 
 
+def _moved(
+    places: Int[Tensor, "y x 3"],
+    shape: BlockShape,
+    zs: Sequence[Tensor],
+    space: LabelSpace,
+    solver: MinCut | None,
+    report: Callable[[int, float], None],
+) -> Int[Tensor, "y x 3"]:
+    """Places of blocks, the seams between them moved to where they show least."""
+    seams = block_seams(zs, space, shape.side, shape.boundary == "periodic")
+    return space.positions.to(places.device)[seams.moved(places, solver, report)]
+
+
 def _descended(
     places: Int[Tensor, "y x 3"],
     shape: BlockShape,
     zs: Sequence[Tensor],
     keep: Sequence[Tensor | None],
+    solver: MinCut | None,
 ) -> tuple[Int[Tensor, "y2 x2 3"], BlockShape]:
-    """Places of blocks of two pixels a side, mended at every level on the way."""
+    """Places of blocks of two pixels a side, mended and cut again at every level on the way.
+
+    Args:
+        solver: of the cuts; None for none.
+    """
     while shape.levels > 1:
         places = shape.split(places)
         phases = min(shape.phases, shape.side // 2)
         shape = replace(shape, levels=shape.levels - 1, phases=phases)
+        space = shape.places(zs, keep)
         coarse = [shape.coarse(z) for z in zs]
-        pictures, usable, corners = shape.exemplars(coarse, shape.places(zs, keep))
+        pictures, usable, corners = shape.exemplars(coarse, space)
         shapes = [(z.shape[1], z.shape[2]) for z in pictures]
         field = copied(shape.sources(places, corners), shapes)
         periodic = shape.boundary == "periodic"
         field = mended(field, pictures, usable, periodic=periodic)
         places = shape.origins(field.source_map(), corners)
+        if solver is not None:  # blocks are smaller now, and seams need no longer be straight
+            places = _moved(places, shape, zs, space, solver, lambda move, energy: None)
     return places, shape
 
 

@@ -145,16 +145,23 @@ class BlockShape:
         which = numbers[which, row % self.side, col % self.side]
         return torch.stack([which, row // self.side, col // self.side], -1)
 
-    def field(self, places: Int[Tensor, "y x 3"], zs: Sequence[Tensor], margin: int) -> SourceField:
-        """Where every pixel is from.
+    def copies(
+        self, places: Int[Tensor, "y x 3"], zs: Sequence[Tensor], margin: int
+    ) -> SourceField:
+        """Every pixel copied with its block.
 
         Args:
             margin: pixels at each side that are cut off.
         """
-        shapes = [(z.shape[1], z.shape[2]) for z in zs]
+        (h, w), shapes = self.size, [(z.shape[1], z.shape[2]) for z in zs]
+        pixels = block_pixels(places, self.side)[margin : margin + h, margin : margin + w]
+        return copied(pixels.contiguous(), shapes)
+
+    def field(self, places: Int[Tensor, "y x 3"], zs: Sequence[Tensor], margin: int) -> SourceField:
+        """As `copies`, but a wavelet longer than Haar's copies coefficients, which are blended."""
         if self.wavelet == "haar":
-            pixels = block_pixels(places, self.side)[: self.size[0], : self.size[1]]
-            return copied(pixels.contiguous(), shapes)
+            return self.copies(places, zs, margin)
+        shapes = [(z.shape[1], z.shape[2]) for z in zs]
         return band_field(places, shapes, self.size, self.wavelet, self.levels, margin)
 
 
