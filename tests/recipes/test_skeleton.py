@@ -335,3 +335,14 @@ def test_exemplars_of_the_seams_are_those_given() -> None:
     block = zs[1][0, 12:16, 8:12]
     means = torch.stack([block[:2, :2], block[:2, 2:], block[2:, :2], block[2:, 2:]]).mean((1, 2))
     assert torch.allclose(seams.looks[last][0], 2 * means)
+
+
+def test_masks_that_leave_little_room_at_many_levels() -> None:
+    z, mask = noise(1, 128, 128), torch.ones(128, 128, dtype=torch.bool)
+    mask[56:72, 56:72] = False
+    made = skeleton(z, (64, 64), levels=3, masks=mask)
+    row, col = made.source_map[..., 1:].unbind(-1)
+    assert bool(mask[row, col].all())
+    mask[20:108, 20:108] = False
+    with pytest.raises(ValueError, match="levels=3 is too many for these masks"):
+        skeleton(z, (64, 64), levels=3, masks=mask)

@@ -24,7 +24,7 @@ from torchtex.cuts.mincut import MinCut, default_solver
 from torchtex.features import Feature
 from torchtex.image import resize
 from torchtex.inputs import Exemplars, Masks, check_seed, usable_exemplars
-from torchtex.label_spaces import LabelSpace
+from torchtex.label_spaces import LabelSpace, label_space
 from torchtex.recipes.block_seams import STEPS, block_seams
 from torchtex.recipes.montage import Montage, Stage
 from torchtex.recipes.skeleton_blocks import LEAST, BlockShape
@@ -107,8 +107,8 @@ def skeleton(
         raise ValueError("solver belongs to cut=mincut; leave it out")
     space = shape.places(zs, keep)
     coarse = [shape.coarse(z) for z in zs]
-    plan = _plan(coarse[0], shape) if schedule is None else tuple(schedule)
     pictures, usable, corners = shape.exemplars(coarse, space)
+    plan = _plan(pictures, usable, shape) if schedule is None else tuple(schedule)
     report = _reporter(on_step, size, 0.8 if cut == "mincut" or mend else 1.0)
     made = synthesize(
         pictures,
@@ -195,12 +195,14 @@ def refine(
     return replace(done, seconds=made.seconds + done.seconds, settings=settings)
 
 
-def _plan(coarse: Tensor, shape: BlockShape) -> tuple[Level, ...]:
+def _plan(
+    pictures: Sequence[Tensor], usable: Sequence[Tensor], shape: BlockShape
+) -> tuple[Level, ...]:
     """The coarser levels of the default schedule, and those at full scale.
 
-    Where few blocks fit into the exemplar there are levels of our own.
+    Where few blocks fit into the exemplars, or into their masks, there are levels of our own.
     """
-    most = min(*shape.blocks, *(n // shape.side for n in coarse.shape[1:]))
+    most = min(*shape.blocks, max(min(picture.shape[1:]) for picture in pictures))
     plan = [
         replace(level, scale=level.scale * shape.side)
         for level in default_schedule()
@@ -209,9 +211,23 @@ def _plan(coarse: Tensor, shape: BlockShape) -> tuple[Level, ...]:
     if shape.levels > 1:
         plan = [Level(0.5, 8 if most >= 32 else 4, 6)]
     plan += _LAST
-    picture = coarse.new_zeros(1, most, most)
+    shapes = [(picture.shape[1], picture.shape[2]) for picture in pictures]
+
+    def fits(size: int) -> bool:
+        return bool(len(label_space(shapes, size, usable)))
+
+    picture = pictures[0].new_zeros(1, most, most)
     room = [level for level in roomy(plan, [picture]) if level.extent(most) >= level.size]
-    return tuple(room) if room and room[-1].scale == 1 else (Level(1.0, LEAST, 8),)
+    room = [level for level in room if level.scale < 1 or fits(level.size)]
+    if room and room[-1].scale == 1:
+        return tuple(room)
+    if not fits(LEAST):
+        side = LEAST * shape.side
+        raise ValueError(
+            f"levels={shape.levels} is too many for these masks, which leave no {side}x{side} "
+            "pixels whole; choose fewer levels or wider masks"
+        )
+    return (Level(1.0, LEAST, 8),)
 
 
 def _moved(
