@@ -42,8 +42,8 @@ def design(
     output: Output,
     exemplar: Annotated[
         list[str] | None,
-        typer.Argument(help="Pictures, or names of bundled exemplars; of unlike ones, one may be "
-                       "all that is seen, least with --enlarge layers."),
+        typer.Argument(help="Pictures, or names of bundled exemplars; of unlike ones some may "
+                       "hardly be seen: --enlarge layers mixes more."),
     ] = None,
     recipe: Annotated[
         str | None,
@@ -91,7 +91,7 @@ def design(
     flip: Flip = 0.0,
     variety: Annotated[
         float, typer.Option(help="How much a design prefers some parts to others; 0: all alike.")
-    ] = 0.6,
+    ] = 0.9,
     upright: Annotated[
         bool, typer.Option("--upright", help="Mend seams with pieces that are not turned.")
     ] = False,

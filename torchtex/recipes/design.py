@@ -56,8 +56,8 @@ def design(
     """One new texture out of deformed layers of the exemplars.
 
     Args:
-        exemplars: one image, or several. Each small texture is made of one that is drawn, and
-            where they are unlike, one may be all that is seen; "layers" mixes more of them.
+        exemplars: one image, or several, which are dealt to the small textures. What fits best
+            is taken from those, so of unlike ones little may be seen; "layers" mixes more of them.
         size: (height, width) of the texture.
         layering: how layers are found, deformed and put together.
         segmentations: the layers of each exemplar, where they are known.
@@ -97,15 +97,17 @@ def design(
     part = 1 / (textures + 3)
     if enlarge == "layers":
         plan = layering.plans[0] if layering.plans else None
-        bases = bases_of(zs, layering, spread, seed, False)
+        bases = bases_of(zs, layering, spread, seed)
         tell = share(on_step, 0.0, 1 - 2 * part)
         whole = deformed(zs, made, bases, extent, layering, seed, tell, plan=plan)
         plans = [whole.settings["plan"]]
     else:
         bases, parts = [], []
+        generator = torch.Generator().manual_seed(seed)
+        dealt = torch.randperm(len(zs), generator=generator).tolist()
         for n in range(textures):
             own = part_seed(seed, n)
-            mine = bases_of(zs, layering, spread, own, True)
+            mine = bases_of(zs, layering, spread, own, dealt[n % len(zs)])
             tell = share(on_step, n * part, part)
             plan = layering.plans[n] if layering.plans else None
             parts.append(deformed(zs, made, mine, None, layering, own, tell, plan=plan))

@@ -69,7 +69,7 @@ class Layering:
     collar: int = 6
     filling: Filling = field(default_factory=Filling)
     mending: Mending = field(default_factory=Mending)
-    variety: float = 0.6
+    variety: float = 0.9
 
     def __post_init__(self) -> None:
         if not 0 <= self.variety <= 10:
@@ -125,22 +125,20 @@ def bases_of(
     layering: Layering,
     spread: Spread | None,
     seed: int,
-    single: bool,
+    only: int | None = None,
 ) -> list[Montage]:
     """What layers are taken from: the exemplars, deformed as a whole if there is a spread.
 
     Args:
-        single: one of them, which is drawn, rather than all.
+        only: number of the one that is wanted; None for all.
 
     Example:
-        >>> made = bases_of([torch.rand(1, 40, 40)], Layering(), Spread(mirror=1.0), 0, True)
+        >>> made = bases_of([torch.rand(1, 40, 40)], Layering(), Spread(mirror=1.0), 0)
         >>> made[0].source_map[0, 0].tolist()
         [0, 0, 39]
     """
     generator = torch.Generator().manual_seed(seed)
-    order = list(range(len(zs)))
-    if single:
-        order = [int(torch.randint(len(zs), (1,), generator=generator))]
+    order = list(range(len(zs))) if only is None else [only]
     if spread is None:
         return [itself(zs, n) for n in order]
     return [whole_deformed(zs, n, spread.draw(generator), layering.filling, seed) for n in order]
@@ -168,7 +166,7 @@ def deformed(
         >>> z = torch.zeros(1, 48, 48) + 0.1 * torch.rand(1, 48, 48)
         >>> z[:, 10:24, 12:30] += 0.8
         >>> how = Layering(2)
-        >>> bases = bases_of([z], how, Spread(rotate=(-9.0, 9.0)), 0, True)
+        >>> bases = bases_of([z], how, Spread(rotate=(-9.0, 9.0)), 0)
         >>> deformed([z], layers_of([z], how), bases, None, how, 0).texture.shape
         torch.Size([1, 48, 48])
     """
@@ -306,5 +304,5 @@ def closed(
         >>> closed(itself([z], 0), [z], 8).texture.shape
         torch.Size([3, 32, 32])
     """
-    done = cyclic(whole.texture, overlap=(overlap, overlap), poisson=False, on_step=on_step)
+    done = cyclic(whole.texture, overlap=(overlap, overlap), poisson=solved, on_step=on_step)
     return onto(done, [whole], zs, done.texture if solved else None)

@@ -214,7 +214,7 @@ def _layers(
     )  # fmt: skip
     textures = [part.texture for part in parts]
     found = layers_of(textures, layering)
-    bases = bases_of(textures, layering, None, seed, False)
+    bases = bases_of(textures, layering, None, seed)
     plans = read_plans(settings["plan"]) if "plan" in settings else ()
     if len(plans) not in (0, 1, count):
         raise ValueError(f"plan: {len(plans)} given for count={count}; give one, or one each")
