@@ -104,7 +104,7 @@ def run_book(
     settings = {"recipe": "design file", "stages": [e.name for e in book.stages]}
     designs = []
     for one in found:
-        plan = {name: one.settings[name] for name in ("plan",) if name in one.settings}
+        plan = {"plan": one.settings["plan"]} if "plan" in one.settings else {}
         designs.append(replace(one, settings=settings | plan, seed=book.seed))
     return Made(designs, run)
 
