@@ -125,7 +125,7 @@ def design(
     else:
         if enlarge == "graphcut":
             tell = share(on_step, textures * part, part)
-            whole = enlarged(zs, parts, extent, enlarge, seed, tell)
+            whole = enlarged(zs, parts, extent, enlarge, seed, tell, mending=layering.mending)
         whole = finish(whole, overlap=extra, on_step=share(on_step, 1 - 2 * part, 2 * part))
     settings = {
         "recipe": "design", "size": list(size), "layering": repr(replace(layering, plans=())),

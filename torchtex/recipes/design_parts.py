@@ -228,8 +228,13 @@ def enlarged(
     enlarge: Enlarge,
     seed: int,
     on_step: Callable[[Stage], None] | None = None,
+    *,
+    mending: Mending | None = None,
 ) -> Montage:
     """A large texture from a set of small ones, with positions in the exemplars.
+
+    Args:
+        mending: of what it will be mended by, which is its refinement then.
 
     Example:
         >>> z = torch.rand(3, 32, 32)
@@ -239,7 +244,9 @@ def enlarged(
     """
     images = [part.texture for part in parts]
     if enlarge == "graphcut":
-        return onto(graphcut(images, size, seed=seed, on_step=on_step), parts, zs, None)
+        refine = None if mending is None or mending.count == 0 else 0
+        made = graphcut(images, size, refine=refine, seed=seed, on_step=on_step)
+        return onto(made, parts, zs, None)
 
     def tell(progress: Progress) -> None:
         if on_step is not None:
@@ -248,8 +255,8 @@ def enlarged(
     solved = synthesize(images, size, feature=Wavelets(), seed=seed, on_step=tell)
     places = solved.source_map
     labels = places[..., 0]
-    made = Montage(solved.texture, copied(places, shapes_of(images)), labels, 0.0, seed, {})
-    return onto(made, parts, zs, solved.texture)
+    done = Montage(solved.texture, copied(places, shapes_of(images)), labels, 0.0, seed, {})
+    return onto(done, parts, zs, solved.texture)
 
 
 def finished(

@@ -180,7 +180,7 @@ def _enlarge(
     for number in range(count):
         own, part = part_seed(seed, number), 1 / count
         tell = share(told, number * part, part / 2)
-        whole = enlarged(zs, parts, size, by, own, tell)
+        whole = enlarged(zs, parts, size, by, own, tell, mending=layering.mending)
         if by == "graphcut":
             whole = finished(
                 whole, zs, parts, layering, overlap=extra, poisson=settings.get("poisson", False),
