@@ -1,9 +1,11 @@
 """The command animate: what it writes, interrupts and going on, sentences for bad input."""
 
+import inspect
 import json
 import os
 import signal
 import sys
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,9 @@ import torch
 from conftest import Run, pixels, refused, stripes
 
 from torchtex import image as images
+from torchtex.cli.moving import animate
 from torchtex.recipes import montage
+from torchtex.recipes.animate import Motion
 
 LINE = ("animate", "z.png", "--size", "32x36", "--flow", "source:1", "--quiet")
 
@@ -296,3 +300,8 @@ def test_a_preview_is_gone_on_from(run: Run, here: Path) -> None:
     assert run(*line, "-o", "parts").code == 0
     assert frame_bytes("parts") == frame_bytes("whole")
     refused(run, here, "preview=0", *line, "--preview", 0, "-o", "x.gif")
+
+
+def test_a_motion_is_by_default_that_of_the_recipe() -> None:
+    given = {name: option.default for name, option in inspect.signature(animate).parameters.items()}
+    assert {field.name: given[field.name] for field in fields(Motion)} == vars(Motion())

@@ -74,7 +74,7 @@ def animate(
     balance: Annotated[
         float,
         typer.Option(help="Cost of content that is shown more often than in the first frame."),
-    ] = 0.03,
+    ] = 0.045,
     mend: Annotated[
         int, typer.Option(help="New pieces tried per frame, over its worst seams.")
     ] = 12,
