@@ -5,7 +5,7 @@ from pathlib import Path
 import typer
 
 from torchtex.cli.base import progress_bar
-from torchtex.cli.design_options import DesignOutputs
+from torchtex.cli.design_options import PLANS
 from torchtex.cli.layers import numbered
 from torchtex.cli.recipe import ASIDE, Outputs, described, kept_options
 
@@ -54,7 +54,7 @@ def run_file(
     for number in wanted:
         name = output if alone else numbered(output, number)
         told = report if report is None or alone else numbered(report, number)
-        outputs.append(DesignOutputs(Outputs(name, bits, report=told)))
+        outputs.append(Outputs(name, bits, report=told, lengthy=PLANS))
         outputs[-1].check(files)
     if threads is not None:
         torch.set_num_threads(threads)

@@ -1,21 +1,18 @@
 """Options that completion and designs share, and how their words are read."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from torchtex.cli.files import choose, extent_of
 from torchtex.cli.layers import load_scribbles
-from torchtex.cli.recipe import Outputs, write_report
 
 if TYPE_CHECKING:
     from torchtex.recipes.design_parts import Enlarge
-    from torchtex.recipes.montage import Montage
 
 SEARCHES = ("exhaustive", "fft", "qtp")
+PLANS = ("plan", "plans")
+"""Settings of a design that are long, see `recipe.Outputs`."""
 
 Patch = Annotated[int, typer.Option(help="Side of the patches that fill holes, in pixels.")]
 Order = Annotated[
@@ -34,36 +31,6 @@ def scribbled(zs: Any, scribbles: list[str]) -> Any:
         segment(z, scribbles=load_scribbles(name, extent_of(z)))
         for z, name in zip(zs, scribbles, strict=True)
     ]
-
-
-@dataclass(frozen=True)
-class DesignOutputs:
-    """Outputs whose report alone holds plans: they are as long as a picture is small.
-
-    Args:
-        files: what is written.
-    """
-
-    files: Outputs
-
-    @property
-    def output(self) -> Path:
-        """The picture."""
-        return self.files.output
-
-    def check(self, read: Mapping[str, Path]) -> None:
-        """Refuses, before work starts, what cannot be written."""
-        self.files.check(read)
-
-    def write(self, result: "Montage", about: dict[str, Any]) -> None:
-        """Writes all of it, the report with plans."""
-        settings = {k: v for k, v in about["settings"].items() if k not in ("plan", "plans")}
-        replace(self.files, report=None).write(result, about | {"settings": settings})
-        write_report(self.files.report, about)
-
-    def write_partial(self, progress: Any, about: dict[str, Any]) -> None:
-        """Writes the texture that there was."""
-        self.files.write_partial(progress, about)
 
 
 def order_of(name: str) -> Literal["scan", "confidence"]:

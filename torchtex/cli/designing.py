@@ -7,7 +7,7 @@ import typer
 
 from torchtex.cli.base import Watch, app, progress_bar
 from torchtex.cli.design_options import (
-    DesignOutputs,
+    PLANS,
     Order,
     Patch,
     Searches,
@@ -167,7 +167,7 @@ def design(
 
     if count == 1:
         pictures = patch_pictures(seams, patch_map)
-        outputs = DesignOutputs(Outputs(output, bits, labels, report, pictures))
+        outputs = Outputs(output, bits, labels, report, pictures, lengthy=PLANS)
         carry_out(context, outputs, read, lambda watch: made(1, watch)[0], threads=threads,
                   keep_partial=keep_partial, quiet=quiet)  # fmt: skip
         return
@@ -186,13 +186,12 @@ def _several(
     """Writes many designs, each with the options that make it alone."""
     names = ("labels", "report", "seams", "patch_map")
 
-    def outputs(number: int) -> DesignOutputs:
+    def outputs(number: int) -> Outputs:
         named = {n: None if p is None else numbered(p, number)
                  for n, p in zip(names, others, strict=True)}  # fmt: skip
         pictures = patch_pictures(named["seams"], named["patch_map"])
-        return DesignOutputs(
-            Outputs(numbered(output, number), bits, named["labels"], named["report"], pictures)
-        )
+        return Outputs(numbered(output, number), bits, named["labels"], named["report"], pictures,
+                       lengthy=PLANS)  # fmt: skip
 
     for number in range(1, count + 1):
         outputs(number).check(read)

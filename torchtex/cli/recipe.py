@@ -54,6 +54,7 @@ class Outputs:
         report: .json, or None.
         pictures: other pictures, by a function of the result; None is left out.
         files: other files, each with what writes it once all else is written.
+        lengthy: settings that the report alone keeps, since they are as long as a picture is small.
     """
 
     output: Path
@@ -64,6 +65,7 @@ class Outputs:
         default_factory=list
     )
     files: list[tuple[str, Path | None, Callable[[Path], None]]] = field(default_factory=list)
+    lengthy: tuple[str, ...] = ()
 
     def check(self, read: Mapping[str, Path]) -> None:
         """Refuses, before work starts, what cannot be written.
@@ -92,7 +94,8 @@ class Outputs:
         """Writes all of it, the texture with what made it."""
         from torchtex import image as images
 
-        save_picture(self.output, result.texture, self.bits, about)
+        kept = {k: v for k, v in about["settings"].items() if k not in self.lengthy}
+        save_picture(self.output, result.texture, self.bits, about | {"settings": kept})
         if self.labels is not None:
             result.field.save(self.labels)
         write_report(self.report, about)
