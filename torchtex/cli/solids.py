@@ -137,13 +137,9 @@ def solid(
         if method == "kopf":
             plan = None if steps is None else solid_schedule(steps)
             return kopf(zs, extent, schedule=plan, **common)
-        made = skeletal_solid(
-            zs,
-            extent,
-            octaves=1 if octaves is None else octaves,
-            refine=2 if refine is None else refine,
-            **common,
-        )
+        own = {"octaves": octaves, "refine": refine}
+        common |= {name: value for name, value in own.items() if value is not None}
+        made = skeletal_solid(zs, extent, **common)
         if not quiet:
             _tell(exemplar, made)
         return made

@@ -197,8 +197,8 @@ class Laying:
         Where not all can fit, what is flat differs least, so holes would be filled with it.
         """
         found = self.confidence.new_ones(len(places))
-        usual = self._usual(top, left)
-        if self.detail == 0 or usual is None:
+        usual = None if self.detail == 0 else self._usual(top, left)
+        if usual is None:
             return found
         rows, cols = (empty.any(axis).nonzero().flatten() for axis in (1, 0))
         row, col = rows[0], cols[0]

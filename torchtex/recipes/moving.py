@@ -307,10 +307,9 @@ class Canvas:
         can = near & self._able(one, here)
         if not bool((can & ~own).any()):
             return
-        units = stock.units(self.pieces, one, here)
-        old, new = self.views[:, :, at[0], at[1]], stock.views(self.pieces.which[one], units)
-        often = self._often(self.pieces.which[one], units)
-        unary = self._unary(at, (old, new), self.speed[number], often)
+        which, units = self.pieces.which[one], stock.units(self.pieces, one, here)
+        old, new = self.views[:, :, at[0], at[1]], stock.views(which, units)
+        unary = self._unary(at, (old, new), self.speed[number], self._often(which, units))
         labels = cut_patch(old, new, ~can & ~own, own, unary=unary, solver=self.solver)
         if bool((labels & ~own).any()):
             self._paste(at, labels, number, new)
