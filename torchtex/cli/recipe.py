@@ -94,8 +94,11 @@ class Outputs:
         """Writes all of it, the texture with what made it."""
         from torchtex import image as images
 
-        kept = {k: v for k, v in about["settings"].items() if k not in self.lengthy}
-        save_picture(self.output, result.texture, self.bits, about | {"settings": kept})
+        told = about
+        if self.lengthy:  # there are results without settings
+            kept = {k: v for k, v in about["settings"].items() if k not in self.lengthy}
+            told = about | {"settings": kept}
+        save_picture(self.output, result.texture, self.bits, told)
         if self.labels is not None:
             result.field.save(self.labels)
         write_report(self.report, about)
